@@ -8,6 +8,7 @@ import shape_checks
 from jaxtyping import Float, TypeCheckError
 
 from jaxnarx.arrays.windows import usable
+from jaxnarx.shell.parse_ranges import parse_seconds
 
 Row = Float[np.ndarray, " n"]
 checked = shape_checks.checked(typechecker=shape_checks.plain)

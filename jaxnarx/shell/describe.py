@@ -128,7 +128,7 @@ def toml(found: Survey, root: Path, relative: str) -> str:
         "[data]",
         f"root = {_text(relative)}  # folder of the files, as seen from this one",
         *_time(found),
-        *_missing(found),
+        *_missing_lines(found),
         *_layout(found),
         "",
         "[channels.inputs]  # what moves the engine; name = unit",
@@ -136,7 +136,7 @@ def toml(found: Survey, root: Path, relative: str) -> str:
         "",
         "[channels.outputs]  # what is to be modelled",
         *(_channel(c) for c in found.of("output")),
-        *_left_out(found),
+        *_unused_channels(found),
         "",
         "[records]  # files, or patterns such as day1/*.csv; !pattern takes some away",
         *_records(found, root),
@@ -165,7 +165,7 @@ def _time(found: Survey) -> list[str]:
     return lines
 
 
-def _missing(found: Survey) -> list[str]:
+def _missing_lines(found: Survey) -> list[str]:
     gaps = [c for c in found.channels if c.missing > 0 and c.role != "left out"]
     if not gaps:
         return ['# missing = "mask"  # or "split", "interpolate"; default: refuse']
@@ -200,7 +200,7 @@ def _channel(one: ChannelGuess) -> str:
     return f"{_text(one.channel)} = {what}  {told}"
 
 
-def _left_out(found: Survey) -> list[str]:
+def _unused_channels(found: Survey) -> list[str]:
     left = found.of("left out")
     lines = [f"# {_text(c.name)} = {_text(c.unit)}  # {c.reason}" for c in left]
     return ["", "# Left out:", *lines] if left else []

@@ -101,7 +101,7 @@ def _check(command: commands.Check) -> int:
     findings, lags = check(data), suggest_lags(data)
     status = 0 if findings.is_okay else 3
     if command.json:
-        found = {"findings": findings.to_dict(), "lags": _lags(lags)}
+        found = {"findings": findings.to_dict(), "lags": _lags_dict(lags)}
         say(json.dumps(found, allow_nan=False, indent=1))
         return status
     which = "" if split.train is None else " for training"
@@ -145,18 +145,18 @@ def _prepare(command: commands.Prepare) -> int:
 
     steps = make_steps(command)
     split = read_description(command.description, command.root)
-    _next_check(write_prepared(split, steps, command.out, force=command.force))
+    _tell_next_check(write_prepared(split, steps, command.out, force=command.force))
     return 0
 
 
 def _simulate_engine(command: commands.SimulateEngine, typed: str) -> int:
     from jaxnarx.shell.simulate_engine import simulate_engine
 
-    _next_check(simulate_engine(command, typed))
+    _tell_next_check(simulate_engine(command, typed))
     return 0
 
 
-def _next_check(file: Path) -> None:
+def _tell_next_check(file: Path) -> None:
     """Advise to look at a description that was just written."""
     # the variable would send the reader of the new files to the old ones
     elsewhere = os.environ.get("JAXNARX_DATA")
@@ -164,7 +164,7 @@ def _next_check(file: Path) -> None:
     tell_next(quote_command("jaxnarx", "check", str(file), *root))
 
 
-def _lags(lags: "LagSuggestion") -> dict[str, Any]:
+def _lags_dict(lags: "LagSuggestion") -> dict[str, Any]:
     pairs = [
         {
             "input": u,
@@ -190,7 +190,7 @@ def _demo(command: commands.Demo, typed: str) -> int:
     from jaxnarx.engines import pfi_siso_records
     from jaxnarx.settings import ForwardOLS, Identification, Lolimot, Polynomial
     from jaxnarx.shell.identify import OneMethod, identify
-    from jaxnarx.shell.output import RUN, run_folder
+    from jaxnarx.shell.output import RUN_FILES, run_folder
 
     if command.events < 200:
         raise SpecError("--events must be at least 200", field="events")
@@ -205,7 +205,9 @@ def _demo(command: commands.Demo, typed: str) -> int:
         grow=Lolimot(scheduling=("duty[t-3]", "speed[t-1]"), max_models=command.models),
     )
     task = OneMethod(method, typed)
-    with run_folder(command.out, "demo", force=command.force, marks=RUN) as folder:
+    with run_folder(
+        command.out, "demo", force=command.force, marks=RUN_FILES
+    ) as folder:
         say(
             f"Simulating the port-injected engine: 3 records of {command.events} events"
         )
@@ -234,17 +236,19 @@ def _identify(command: commands.Identify, typed: str) -> int:
         from jaxnarx.shell.search.run import search
 
         return search(command, command.method, typed)
-    return _by_method(command, command.method, typed)
+    return _identify_by_method(command, command.method, typed)
 
 
-def _by_method(command: commands.Identify, asked: "Identification", typed: str) -> int:
+def _identify_by_method(
+    command: commands.Identify, asked: "Identification", typed: str
+) -> int:
     from jaxnarx.shell.identify import (
         OneMethod,
         check_method,
         identify,
         preparation_task,
     )
-    from jaxnarx.shell.output import RUN, run_folder
+    from jaxnarx.shell.output import RUN_FILES, run_folder
 
     require_finite("require_fit", command.require_fit)
     share = 0.2 if command.hold_out is None else command.hold_out
@@ -254,7 +258,7 @@ def _by_method(command: commands.Identify, asked: "Identification", typed: str) 
     task = preparation_task(split.preparation, OneMethod(method, typed))
     outputs = method.pool.outputs
     name = f"{Path(command.description).stem}-{'-'.join(outputs[:3])}"
-    with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
+    with run_folder(command.out, name, force=command.force, marks=RUN_FILES) as folder:
         parts = _parts(split, share)
         follow = partial(
             propose_after_method,
@@ -314,7 +318,7 @@ def _plan(command: commands.Plan, typed: str) -> int:
 
 def _invert(command: commands.Invert, typed: str) -> int:
     from jaxnarx.models import load
-    from jaxnarx.shell.invert import FILES, check_command, invert, limits_of
+    from jaxnarx.shell.invert import RESULT_FILES, check_command, invert, limits_of
     from jaxnarx.shell.output import run_folder
 
     forward = load(command.model)
@@ -322,17 +326,19 @@ def _invert(command: commands.Invert, typed: str) -> int:
     limits_of(command.range, command.rate)
     split = read_description(command.description, command.root)
     name = f"{Path(command.description).stem}-inverse"
-    with run_folder(command.out, name, force=command.force, marks=FILES) as folder:
+    with run_folder(
+        command.out, name, force=command.force, marks=RESULT_FILES
+    ) as folder:
         with about(command.description):
             parts = _parts(split, command.hold_out)
             solution = invert(command, typed, forward, parts, folder)
-    say(f"\nwrote {', '.join(FILES)} to {folder}")
+    say(f"\nwrote {', '.join(RESULT_FILES)} to {folder}")
     if not solution.is_okay:
         warn(
             f"{solution.status_name}: {solution.detail}. Try fewer --terms, a lower "
             "--degree or other lags."
         )
-    model = str(folder / FILES[0])
+    model = str(folder / RESULT_FILES[0])
     words = ["jaxnarx", "simulate", model, "wanted.csv", "--through", command.model]
     tell_next(quote_command(*words))
     return 0
@@ -353,7 +359,7 @@ def _report(command: commands.Report, typed: str) -> int:
     from jaxnarx.shell.identify import require_rows
     from jaxnarx.shell.junit import junit_file, write_junit
     from jaxnarx.shell.model_file import load_model
-    from jaxnarx.shell.output import RUN, run_folder, write_report, write_together
+    from jaxnarx.shell.output import RUN_FILES, run_folder, write_report, write_together
 
     require_finite("require_fit", command.require_fit)
     bare = command.no_limits
@@ -366,7 +372,7 @@ def _report(command: commands.Report, typed: str) -> int:
         folder, force = None, command.force
         if command.out is not None:
             folder = stack.enter_context(
-                run_folder(command.out, "", force=force, marks=RUN[1:])
+                run_folder(command.out, "", force=force, marks=RUN_FILES[1:])
             )
         junit = stack.enter_context(junit_file(command.junit, force=force))
         with about(command.description, but=("over",)):

@@ -63,7 +63,7 @@ def check_method(method: Identification, channels: Channels) -> Identification:
             "--select simulation takes one output at a time; add "
             f"--output {outputs[0]!r}, say"
         )
-    for name in _logarithmic(method):
+    for name in _logarithmic_outputs(method):
         if name not in outputs:
             raise SpecError(
                 f"--log: {name!r} is not modelled. {suggest(name, outputs)}"
@@ -140,7 +140,7 @@ class Teller(ExitStack):
         else:
             _tell(ended)
             if verb == "grow":
-                self._grown(ended.value)
+                self._tell_regions(ended.value)
 
     def _begin(self, candidates: int) -> None:
         asked = getattr(self.method.select, "max_terms", candidates)
@@ -149,7 +149,7 @@ class Teller(ExitStack):
         if asked > candidates:
             say(f"  {asked} were asked for; there are no more candidates")
 
-    def _grown(self, network: Network) -> None:
+    def _tell_regions(self, network: Network) -> None:
         for name, model in zip(network.computed_names, network.models, strict=True):
             terms = count(model.local.index.shape[1], "term")
             of = "of" if np.asarray(model.local.used).all() else "of up to"
@@ -165,13 +165,13 @@ class Teller(ExitStack):
             self.progress = self.enter_context(refinement_progress())
 
 
-def _logarithmic(method: Identification) -> tuple[str, ...]:
+def _logarithmic_outputs(method: Identification) -> tuple[str, ...]:
     """Outputs whose errors are refined on a logarithmic scale."""
     powers = getattr(method.refine, "box_cox", None)
     return tuple(powers) if isinstance(powers, Mapping) else ()
 
 
-STOPPED = {
+REFINEMENT_ENDS = {
     "ok": "converged",
     "budget_spent": "all steps used",
     "no_improvement": "stopped where validation improves no further",
@@ -185,11 +185,11 @@ def _describe_refinement(fit: Solution[Network], method: Identification) -> str:
     squared = getattr(refine, "loss", "squares") == "squares"
     start, end = fit.stats["loss_start"], fit.stats["loss"]
     name = "loss"
-    if squared and not _logarithmic(method):
+    if squared and not _logarithmic_outputs(method):
         name, start, end = "NRMSE", start**0.5, end**0.5
     mode = "free-run" if isinstance(refine, SimulationError) else "one-step"
     _, mark, more = fit.detail.partition(";")
-    ended = STOPPED.get(fit.status_name, fit.status_name)
+    ended = REFINEMENT_ENDS.get(fit.status_name, fit.status_name)
     return f"{ended}: {mode} {name} on validation {start:.4g} -> {end:.4g}{mark}{more}"
 
 

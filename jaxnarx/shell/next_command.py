@@ -20,9 +20,9 @@ from jaxnarx.shell.messages import quote_command, say
 if TYPE_CHECKING:
     from jaxnarx.evaluation import Verdict
 
-SLOW = (4, 16, 64)
+FILTER_TIME_CONSTANTS_SAMPLES = (4, 16, 64)
 """Time constants of filters that are proposed, in samples."""
-ADVICE = {
+DESCRIPTION_REMARKS = {
     "cover": "  (with records that reach as far under train)",
     "test": "  (with records under test that take part in no choice)",
     "records": "  (with the record corrected or left out)",
@@ -31,7 +31,7 @@ ADVICE = {
 """What has to change in the description before the same command helps."""
 
 
-LARGER = {"quick": "good", "linear": "good", "ecu": "good", "good": "best"}
+LARGER_PRESETS = {"quick": "good", "linear": "good", "ecu": "good", "good": "best"}
 """The preset that tries more."""
 
 
@@ -59,18 +59,23 @@ def propose_after_search(
     if verdict is None:
         return _propose(again, "  (goes on)")
     if verdict.remedy == "test":
-        return _propose(again, ADVICE["test"])
+        return _propose(again, DESCRIPTION_REMARKS["test"])
     # With other records it is another search.
     anew = dataclasses.replace(again, force=True)
-    if verdict.remedy in ADVICE:
-        return _propose(anew, ADVICE[verdict.remedy])
+    if verdict.remedy in DESCRIPTION_REMARKS:
+        return _propose(anew, DESCRIPTION_REMARKS[verdict.remedy])
     again = dataclasses.replace(again, out=None)
     if verdict.remedy == "bounded" and asked.preset != "linear":
         change = dataclasses.replace(asked, preset="linear")
     elif verdict.remedy == "unstable" and asked.preset != "ecu":
         change = dataclasses.replace(asked, preset="ecu")
-    elif asked.preset in LARGER and verdict.remedy not in ("bounded", "unstable"):
-        change = dataclasses.replace(asked, preset=LARGER[asked.preset], budget=None)
+    elif asked.preset in LARGER_PRESETS and verdict.remedy not in (
+        "bounded",
+        "unstable",
+    ):
+        change = dataclasses.replace(
+            asked, preset=LARGER_PRESETS[asked.preset], budget=None
+        )
     else:
         return _propose(anew, "  (with more training records)")
     return _propose(dataclasses.replace(again, method=change))
@@ -94,12 +99,14 @@ def propose_after_method(
     if not verdict.findings:
         return propose_simulation(model)
     again = dataclasses.replace(command, out=None, force=False)
-    if verdict.remedy in ADVICE:
-        return _propose(again, ADVICE[verdict.remedy])
+    if verdict.remedy in DESCRIPTION_REMARKS:
+        return _propose(again, DESCRIPTION_REMARKS[verdict.remedy])
     method = command.method
     assert not isinstance(method, Automatic), "a search has no settings to change"
     pool, terms = method.pool, getattr(method.select, "max_terms", 2)
-    filters = tuple(float(f"{n * sample_time:.3g}") for n in SLOW)
+    filters = tuple(
+        float(f"{n * sample_time:.3g}") for n in FILTER_TIME_CONSTANTS_SAMPLES
+    )
     linear = {"pool.degree": 1} if pool.degree > 1 else {}
     free = isinstance(method.select, SimulationOLS)
     choice = {} if len(outputs) > 1 or free else {"select": "simulation"}

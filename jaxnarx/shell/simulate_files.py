@@ -18,7 +18,11 @@ from jaxnarx.shell.formats import plain_names, write_columns
 from jaxnarx.shell.messages import about, count, quote_command, say, size, warn
 from jaxnarx.shell.model_file import load_model
 from jaxnarx.shell.next_command import tell_next
-from jaxnarx.shell.prepare import as_trained, raw_channels, stored_preparation
+from jaxnarx.shell.prepare import (
+    prepare_like_training,
+    raw_channels,
+    stored_preparation,
+)
 from jaxnarx.simulation import Trajectories, predict, simulate
 
 
@@ -168,7 +172,7 @@ def _new_data(command: Simulate, network: Network) -> Dataset:
     wanted = raw_channels(known, network.channels)
     raw = _records(command, wanted, known.sample_time)
     with about(command.files[0]):
-        return as_trained(known, raw, network.channels)
+        return prepare_like_training(known, raw, network.channels)
 
 
 def _records(

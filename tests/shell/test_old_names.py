@@ -7,7 +7,7 @@ import pytest
 from jaxnarx.shell import dispatch
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import COMMANDS
-from jaxnarx.shell.commands.flags import with_options
+from jaxnarx.shell.commands.flags import add_options
 from jaxnarx.shell.commands.old_names import COMMAND_NAMES, OPTION_NAMES
 
 
@@ -63,6 +63,6 @@ def test_new_names_are_there_and_old_ones_are_not():
     assert set(COMMAND_NAMES.values()) <= set(COMMANDS)
     assert not set(COMMAND_NAMES) & set(COMMANDS)
     for command, names in OPTION_NAMES.items():
-        fields = with_options(COMMANDS[command]).__dataclass_fields__
+        fields = add_options(COMMANDS[command]).__dataclass_fields__
         assert {new.removeprefix("--") for new in names.values()} <= set(fields)
         assert not {old.removeprefix("--") for old in names} & set(fields)

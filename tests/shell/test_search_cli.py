@@ -306,7 +306,7 @@ def test_what_makes_no_sense_is_one_sentence(copy, capsys, line, code, words):
 def heard(monkeypatch):
     """Signals as the command line takes them."""
     before = signal.signal(signal.SIGINT, interrupt._raise)
-    monkeypatch.setattr(interrupt, "_asked", [])
+    monkeypatch.setattr(interrupt, "_received", [])
     yield
     signal.signal(signal.SIGINT, before)
 

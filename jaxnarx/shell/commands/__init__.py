@@ -49,8 +49,8 @@ Command = (
     | ImportDcm
     | Sweep
 )
-_RECORDS = (Identify, Invert, Report, Prepare)
-_ELSEWHERE = "All keys of a description of records: `jaxnarx check --help`."
+_DESCRIPTION_COMMANDS = (Identify, Invert, Report, Prepare)
+_DESCRIPTION_POINTER = "All keys of a description of records: `jaxnarx check --help`."
 
 
 def help_of(command: type) -> str:
@@ -58,7 +58,11 @@ def help_of(command: type) -> str:
     text = inspect.getdoc(command) or ""
     if command is Check:
         return f"{text}\n\n{DESCRIPTION}"
-    return f"{text}\n\n{_ELSEWHERE}" if command in _RECORDS else text
+    return (
+        f"{text}\n\n{_DESCRIPTION_POINTER}"
+        if command in _DESCRIPTION_COMMANDS
+        else text
+    )
 
 
 COMMANDS: dict[str, type] = {_kebab(c.__name__): c for c in get_args(Command)}

@@ -1,6 +1,6 @@
 """What `jaxnarx --help` says: all commands by task, on one screen. No jax here."""
 
-TASKS = {
+TASK_COMMANDS = {
     "data": {
         "describe": "Write the description of measurement files.",
         "check": "Find what may spoil a model; suggest lags.",
@@ -28,11 +28,11 @@ TASKS = {
     },
 }
 """Every command in one line, under the task that it belongs to."""
-HEAD = """usage: jaxnarx COMMAND [OPTIONS]
+OVERVIEW_HEAD = """usage: jaxnarx COMMAND [OPTIONS]
 
 Identify engines from measurements as NARX networks with regional models.
 """
-FOOT = """
+OVERVIEW_FOOT = """
 `jaxnarx COMMAND --help` has options and examples; `jaxnarx --version`.
 Exit codes: 0 done, 1 model not usable or fit below --require-fit, 2 usage,
 3 data or model files, 70 defect, 130 interrupted, 143 ended by SIGTERM."""
@@ -42,7 +42,7 @@ def overview() -> str:
     """The help of the whole program, less than 24 lines of 80 columns."""
     rows = [
         f"{task * (n == 0):9s} {command:16s} {line}"
-        for task, commands in TASKS.items()
+        for task, commands in TASK_COMMANDS.items()
         for n, (command, line) in enumerate(commands.items())
     ]
-    return "\n".join([HEAD, *rows, FOOT])
+    return "\n".join([OVERVIEW_HEAD, *rows, OVERVIEW_FOOT])

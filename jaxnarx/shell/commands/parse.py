@@ -6,7 +6,7 @@ import tyro
 
 from jaxnarx.errors import SpecError, suggest
 from jaxnarx.shell.commands import COMMANDS, Command, help_of
-from jaxnarx.shell.commands.flags import settle_command, with_options
+from jaxnarx.shell.commands.flags import add_options, settle_command
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -14,7 +14,7 @@ def parse(arguments: Sequence[str]) -> Command:
     name = arguments[0]
     if name in COMMANDS:
         parsed = tyro.cli(
-            with_options(COMMANDS[name]),
+            add_options(COMMANDS[name]),
             args=arguments[1:],
             prog=f"jaxnarx {name}",
             # given here because tyro drops the examples from a docstring it parses

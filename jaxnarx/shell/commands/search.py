@@ -7,7 +7,7 @@ from tyro.conf import Positional, arg
 
 from jaxnarx.shell.commands.annotations import Flag, Folder, Percent, Run, optional
 
-_NUMBERS = arg(metavar="NUMBER [NUMBER ...]", help_behavior_hint="(required)")
+_NUMBERS_ARGUMENT = arg(metavar="NUMBER [NUMBER ...]", help_behavior_hint="(required)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Choose:
 
     run: Positional[Run]
     """Folder of the search."""
-    numbers: Positional[Annotated[tuple[int, ...], _NUMBERS]]
+    numbers: Positional[Annotated[tuple[int, ...], _NUMBERS_ARGUMENT]]
     """Numbers of candidates."""
     description: Annotated[str | None, optional("DESCRIPTION")] = None
     """TOML description of the records; default: the one that RUN was made from."""

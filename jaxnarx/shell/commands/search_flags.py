@@ -11,7 +11,7 @@ from jaxnarx.settings import PRESETS
 from jaxnarx.shell.commands.search import Automatic
 from jaxnarx.shell.parse_ranges import parse_seconds
 
-NAMES = ("preset", "budget", "candidates", "states")
+SEARCH_OPTIONS = ("preset", "budget", "candidates", "states")
 
 
 def search_options() -> list[tuple[str, Any, None]]:
@@ -36,7 +36,7 @@ def search_options() -> list[tuple[str, Any, None]]:
     ]
 
 
-def automatic(parsed: Any) -> Automatic:
+def make_search(parsed: Any) -> Automatic:
     """The search that was asked for; SpecError where there is none such."""
     if parsed.hold_out is not None:
         raise SpecError(
@@ -58,7 +58,7 @@ def automatic(parsed: Any) -> Automatic:
 
 def refuse_search(parsed: Any, option: str) -> None:
     """SpecError where an option of a search comes with one of a method."""
-    for name in NAMES:
+    for name in SEARCH_OPTIONS:
         if getattr(parsed, name, None) is not None:
             raise SpecError(
                 f"--{name} belongs to a search, and --{option} makes this one method: "
@@ -69,7 +69,7 @@ def refuse_search(parsed: Any, option: str) -> None:
 def words_of_search(method: Automatic) -> list[str]:
     """The options as they are typed, those that differ from defaults."""
     words = ["--output", *method.outputs] if method.outputs else []
-    for name in NAMES:
+    for name in SEARCH_OPTIONS:
         value = getattr(method, name)
         if value != getattr(Automatic, name):
             words += [f"--{name}", f"{value:g}s" if name == "budget" else str(value)]

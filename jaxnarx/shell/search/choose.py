@@ -18,7 +18,7 @@ from jaxnarx.shell.description import read_description
 from jaxnarx.shell.exit_code import exit_code_of, require_finite
 from jaxnarx.shell.messages import first_lines, say
 from jaxnarx.shell.next_command import propose_simulation, tell_next
-from jaxnarx.shell.output import RUN, run_folder
+from jaxnarx.shell.output import RUN_FILES, run_folder
 from jaxnarx.shell.search.folder import (
     Origin,
     provenance,
@@ -29,7 +29,7 @@ from jaxnarx.shell.search.folder import (
     summary,
     write_run,
 )
-from jaxnarx.shell.search.leaderboard import LEGEND, table
+from jaxnarx.shell.search.leaderboard import TABLE_LEGEND, table
 
 
 def show(command: Leaderboard) -> int:
@@ -47,7 +47,7 @@ def show(command: Leaderboard) -> int:
         for sentence in sentences(board, output):
             say(sentence)
     if len(board):
-        say("\n" + "\n".join(LEGEND))
+        say("\n" + "\n".join(TABLE_LEGEND))
     return 0
 
 
@@ -63,7 +63,7 @@ def choose(command: Choose, typed: str) -> int:
     told["search"] = about["search"] = str(found.path)
     numbers = "-".join(str(row.number) for row in rows)
     out = command.out or f"{str(found.path).rstrip('/')}-{numbers}"
-    with run_folder(out, "", force=command.force, marks=RUN) as folder:
+    with run_folder(out, "", force=command.force, marks=RUN_FILES) as folder:
         train, validation = search_records(split)
         parts = scored_parts(train, validation, split.test, network)
         network = attach_domain_and_intervals(
@@ -71,7 +71,7 @@ def choose(command: Choose, typed: str) -> int:
         )
         chosen = {row.output: row.number for row in rows}
         result = score_model(network, parts, found, chosen, told)
-        following = propose_simulation(str(folder / RUN[0]))
+        following = propose_simulation(str(folder / RUN_FILES[0]))
         result = dataclasses.replace(result, next_command=following)
         files = write_run(folder, network, result, about)
     say("\n" + first_lines(result))
@@ -111,7 +111,7 @@ def _network(found: SearchFolder, rows: Sequence[Candidate]) -> Network:
 def _origin(command: Choose, found: SearchFolder) -> Origin:
     """The records; DataFileError where the ones of the search are gone."""
     if command.description is not None:
-        return Origin.of(command.description, command.root)
+        return Origin.from_options(command.description, command.root)
     origin = read_origin(found.path)
     if not Path(origin.description).is_file():
         raise SpecError(
