@@ -125,7 +125,7 @@ def no_layout():
     """Figures are drawn whole, but nobody looks at their margins."""
     from jaxnarx.shell.figures import style
 
-    style.LAYOUT = "none"
+    style.LAYOUT_ENGINE = "none"
 
 
 @pytest.fixture

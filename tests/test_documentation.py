@@ -23,7 +23,7 @@ from jaxnarx.docstrings import field_texts
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.settings.tree import replace_at
 from jaxnarx.shell.commands import COMMANDS
-from jaxnarx.shell.commands.flags import with_options
+from jaxnarx.shell.commands.flags import add_options
 from jaxnarx.shell.commands.parse import parse
 from jaxnarx.solution import STATUS_NAMES
 
@@ -126,7 +126,7 @@ def test_every_option_of_a_command_is_on_its_page():
     for name, command in COMMANDS.items():
         own = page.partition(f"## jaxnarx {name}\n")[2].partition("\n## ")[0]
         wanted = [f"usage: jaxnarx {name} "]
-        hints = get_type_hints(with_options(command), include_extras=True)
+        hints = get_type_hints(add_options(command), include_extras=True)
         for field, hint in hints.items():
             if typed.__metadata__[0] not in getattr(hint, "__metadata__", ()):
                 wanted.append(f"--{field.replace('_', '-')}")
@@ -376,10 +376,10 @@ def test_what_a_command_prints_in_chunks_is_shown_in_one_piece():
 
 def test_words_of_the_leaderboard_are_explained():
     """Columns, families and every word that a name of a candidate may hold."""
-    from jaxnarx.shell.search.leaderboard import HEAD
+    from jaxnarx.shell.search.leaderboard import COLUMN_NAMES
 
     page = (DOCS / "reference" / "leaderboard.md").read_text()
-    words = [name.replace("_", " ") for name in HEAD]
+    words = [name.replace("_", " ") for name in COLUMN_NAMES]
     words += "lags by 16|4 filters|gates moved|feedback moved|pull 0.1".split("|")
     words += "given up after 2 of 5 groups|shared feedback|hidden states".split("|")
     words += "skipped|diverged|failed|order 2|degree 2|regions|states".split("|")

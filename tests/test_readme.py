@@ -57,7 +57,15 @@ def test_the_commands_parse():
     (console,) = blocks("console")
     commands = [shlex.split(line.removeprefix("$ ")) for line in console.splitlines()]
     assert [words[1] for words in commands] == [
-        *("describe", "check", "identify", "leaderboard", "take", "simulate", "report")
+        *(
+            "describe",
+            "check",
+            "identify",
+            "leaderboard",
+            "choose",
+            "simulate",
+            "report",
+        )
     ]
     for words in commands:
         parse(words[1:])

@@ -8,7 +8,7 @@ import shape_checks
 from jaxtyping import Float, TypeCheckError
 
 from jaxnarx.arrays.windows import usable
-from jaxnarx.shell.commands.search_flags import seconds
+from jaxnarx.shell.parse_ranges import parse_seconds
 
 Row = Float[np.ndarray, " n"]
 checked = shape_checks.checked(typechecker=shape_checks.plain)
@@ -83,7 +83,7 @@ def test_the_package_is_checked():
     with pytest.raises(TypeCheckError):
         usable(valid[0], ((0, 1),), 1)  # pyright: ignore[reportArgumentType]
     with pytest.raises(TypeCheckError):
-        seconds(600)  # pyright: ignore[reportArgumentType]
+        parse_seconds(600, "--budget")  # pyright: ignore[reportArgumentType]
 
 
 def test_what_has_no_annotation_is_not_touched():

@@ -18,9 +18,9 @@ from jaxnarx.settings import PRESETS
 from jaxnarx.shell import cli
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import COMMANDS
-from jaxnarx.shell.commands.flags import with_options
+from jaxnarx.shell.commands.flags import add_options
 from jaxnarx.shell.commands.parse import parse
-from jaxnarx.shell.interrupt import ENDING
+from jaxnarx.shell.interrupt import ENDING_SIGNALS
 from jaxnarx.solution import OKAY_STATUSES, STATUS_NAMES
 from jaxnarx.sweep import read_sweep
 
@@ -77,7 +77,7 @@ def keys(title: str, head: str = "key") -> list[str]:
 
 def options(command: type) -> set[str]:
     """Options of a command as they are typed."""
-    names = with_options(command).__dataclass_fields__
+    names = add_options(command).__dataclass_fields__
     return {f"--{name.replace('_', '-')}" for name in names}
 
 
@@ -120,9 +120,15 @@ def test_every_preset_is_explained():
 
 def test_exit_codes_are_those_of_the_command_line():
     codes = [int(row[0]) for row in table(section("Exit codes"), "code")]
-    own = [cli.OK, cli.NOT_ACCEPTABLE, cli.USAGE, cli.DATA, cli.DEFECT]
-    assert codes == [*own, *(128 + number for number in ENDING)]
-    assert cli.INTERRUPTED in codes
+    own = [
+        cli.EXIT_OK,
+        cli.EXIT_NOT_ACCEPTABLE,
+        cli.EXIT_USAGE,
+        cli.EXIT_DATA,
+        cli.EXIT_DEFECT,
+    ]
+    assert codes == [*own, *(128 + number for number in ENDING_SIGNALS)]
+    assert cli.EXIT_INTERRUPTED in codes
 
 
 def test_every_status_is_explained_in_the_order_of_the_program():

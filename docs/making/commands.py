@@ -11,7 +11,7 @@ import tyro
 
 from jaxnarx.settings.description import DESCRIPTION
 from jaxnarx.shell.commands import COMMANDS, help_of
-from jaxnarx.shell.commands.flags import with_options
+from jaxnarx.shell.commands.flags import add_options
 
 
 def made() -> dict[str, str]:
@@ -45,7 +45,7 @@ def plain(command: type, name: str) -> str:
     """The help as tyro makes it, 88 characters wide, without colours."""
     with _columns("88"):
         parser = tyro.extras.get_parser(
-            with_options(command),
+            add_options(command),
             prog=f"jaxnarx {name}",
             description=help_of(command),
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone),

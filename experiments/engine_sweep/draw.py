@@ -6,7 +6,14 @@ import numpy as np
 from beds import BEDS
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.figures.style import BLUE, GREY, ORANGE, canvas, plain, use_style
+from jaxnarx.shell.figures.style import (
+    BLUE,
+    GREY,
+    ORANGE,
+    canvas,
+    plain_text,
+    use_style,
+)
 
 Row = dict[str, Any]
 COLOURS = {"engine": BLUE, "noise": ORANGE, "excitation": GREY}
@@ -39,7 +46,7 @@ def draw_terms(found: dict[str, Any]) -> Figure:
                 values = [100 * own[group] for own in share.values()]
                 mark = "s" if group == "engine" else "o"
                 axis.plot(values, -at, mark, color=colour, ms=4.5, label=SAID[group])
-            axis.set_yticks(-at, [plain(term) for term in share], fontsize=7)
+            axis.set_yticks(-at, [plain_text(term) for term in share], fontsize=7)
             axis.set_xlim(-3, 103)
             axis.set_title(f"{bed}: {BEDS[bed].output}")
             axis.set_xlabel("members with the term [%]")
@@ -68,8 +75,8 @@ def draw_partitions(rows: list[Row], beds: list[str]) -> Figure:
                 points = np.concatenate(own[:DOTS]).T
                 axis.scatter(*points, s=5, color=colour, alpha=0.6, lw=0)
                 axis.set_title(f"{bed}, {SAID[group]}", fontsize=7)
-                axis.set_ylabel(plain(names[1]), fontsize=7)
-                axis.set_xlabel(plain(names[0]), fontsize=7)
+                axis.set_ylabel(plain_text(names[1]), fontsize=7)
+                axis.set_xlabel(plain_text(names[0]), fontsize=7)
                 axis.grid(False)
     return figure
 

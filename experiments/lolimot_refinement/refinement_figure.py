@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, use_style
+from jaxnarx.shell.figures.style import BLUE, GREY, INK_COLOUR, RED, canvas, use_style
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fleets"))
 from drawing import (  # noqa: E402 # pyright: ignore[reportMissingImports]
@@ -55,7 +55,9 @@ def panel(ax: Axes, rows: list[dict[str, Any]], ways: list[str], start: str) -> 
         tint = GREY if how == start else BLUE
         ax.plot(held, place + shift, "o", color=tint, ms=2.2, mew=0, alpha=0.7)
         if len(held):
-            ax.plot([np.median(held)] * 2, [place - 0.35, place + 0.35], color=INK)
+            ax.plot(
+                [np.median(held)] * 2, [place - 0.35, place + 0.35], color=INK_COLOUR
+            )
         if len(held) < len(values):
             lost = str(len(values) - len(held))
             at = (0.94, place + 0.3)

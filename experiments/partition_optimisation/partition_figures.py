@@ -12,7 +12,7 @@ from jaxnarx.shell.figures.style import (
     BLUE,
     GREEN,
     GREY,
-    INK,
+    INK_COLOUR,
     ORANGE,
     RED,
     canvas,
@@ -102,7 +102,7 @@ def _dots(ax: Axes, place: int, rows: list[dict[str, Any]]) -> None:
     held = np.sort(values[np.isfinite(values)])
     ax.plot(held, np.full(len(held), place), "o", color=BLUE, ms=3, mew=0, alpha=0.5)
     if len(held):
-        ax.plot([np.median(held)] * 2, [place - 0.3, place + 0.3], color=INK)
+        ax.plot([np.median(held)] * 2, [place - 0.3, place + 0.3], color=INK_COLOUR)
     if len(held) < len(values):
         lost = str(len(values) - len(held))
         ax.annotate(lost, (1, place), xycoords=("axes fraction", "data"), color=RED)

@@ -236,14 +236,14 @@ def figure(drawn, path: Path) -> None:
         low, high = found.measured_lower[0][shown, 0], found.measured_upper[0][shown, 0]
         top.fill_between(at, low, high, color=style.SKY, alpha=0.35, lw=0)
         top.plot(at, measured[shown, 0], ".", ms=2.5, color=style.GREY)
-        top.plot(at, y[shown, 0], color=style.INK, lw=0.9)
+        top.plot(at, y[shown, 0], color=style.INK_COLOUR, lw=0.9)
         top.plot(at, found.run[0][shown, 0], color=style.BLUE)
         top.set_ylabel("y")
         top.set_title("free run, 95 % band of a measurement, measurements, true output")
         run = found.run[0][shown, 0]
         low, high = found.lower[0][shown, 0] - run, found.upper[0][shown, 0] - run
         below.fill_between(at, low, high, color=style.BLUE, alpha=0.3, lw=0)
-        below.plot(at, y[shown, 0] - run, color=style.INK, lw=0.9)
+        below.plot(at, y[shown, 0] - run, color=style.INK_COLOUR, lw=0.9)
         below.set_ylabel("true output - run")
         below.set_xlabel("time / s")
         below.set_title("95 % band of the noise-free run: parameters and start alone")

@@ -26,14 +26,14 @@ import jaxnarx as jnx
 from jaxnarx.linear import NonlinearityCheck, OrderSearch, Spectra
 from jaxnarx.shell.figures.style import (
     BLUE,
-    CYCLE,
+    COLOUR_CYCLE,
     GREEN,
     GREY,
-    INK,
+    INK_COLOUR,
     ORANGE,
     RED,
     canvas,
-    plain,
+    plain_text,
     use_style,
 )
 
@@ -52,7 +52,7 @@ def draw_data(data: jnx.Dataset) -> matplotlib.figure.Figure:
         for n, name in enumerate(PARTS[:2]):
             record = data.records[n]
             axes[n].plot(record.u[:, 0], color=BLUE, lw=0.6)
-            axes[2 + n].plot(record.y[:, 0], color=INK, lw=0.6)
+            axes[2 + n].plot(record.y[:, 0], color=INK_COLOUR, lw=0.6)
             axes[n].set_title(name)
             axes[2 + n].set_xlabel(EVENT)
         axes[0].set_ylabel("duty of the valve")
@@ -83,7 +83,7 @@ def draw_coherence(
         names = ", ".join(c.name for c in found.inputs)
         ax.set_ylabel("coherence")
         ax.set_title(
-            plain(f"{names} to {found.output.name}, {found.segments} segments")
+            plain_text(f"{names} to {found.output.name}, {found.segments} segments")
         )
         ax.legend(loc="upper right")
         turn = 2 * found.sample_time
@@ -154,12 +154,12 @@ def draw_runs(
         place = PARTS.index(part)
         y = data.records[place].y[shown, 0]
         at = START + np.arange(len(y))
-        top.plot(at, y, color=INK, lw=1.8, label="measured")
-        for (name, model), colour in zip(models.items(), CYCLE, strict=False):
+        top.plot(at, y, color=INK_COLOUR, lw=1.8, label="measured")
+        for (name, model), colour in zip(models.items(), COLOUR_CYCLE, strict=False):
             run = model.predicted["free_run"][place][shown]
             top.plot(at, run, color=colour, lw=1.0, label=name)
             low.plot(at, y - run, color=colour, lw=0.8)
-        low.axhline(0, color=INK, lw=0.6)
+        low.axhline(0, color=INK_COLOUR, lw=0.6)
         top.set(ylabel=SPEED, title=f"free run, {part} record")
         low.set(ylabel=ERROR, xlabel=EVENT)
         top.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
@@ -202,7 +202,7 @@ def _distances(ax: Axes, runs: Runs, size: float) -> None:
         "norm": (BLUE, "columns by norm"),
         "mean": (ORANGE, "columns by mean"),
         "none": (GREY, "as they are"),
-        UNCUT: (INK, "as they are, uncut"),
+        UNCUT: (INK_COLOUR, "as they are, uncut"),
     }
     for row, way in enumerate(ways):
         gap = np.abs(runs[way] - runs[REFERENCE])[START:].max()
@@ -234,7 +234,7 @@ def draw_residual(
             time.set(title=mode.replace("_", " "), xlabel=EVENT)
             point.set_xlabel("measured " + SPEED)
             for ax in (time, point):
-                ax.axhline(0, color=INK, lw=0.6)
+                ax.axhline(0, color=INK_COLOUR, lw=0.6)
                 ax.margins(x=0.01)
         axes[0].set_ylabel("residual [rpm]")
         axes[2].set_ylabel("mean of residual [rpm],\nbar: one standard deviation")
@@ -273,7 +273,7 @@ def draw_fits(rows: Sequence[Mapping[str, Any]]) -> matplotlib.figure.Figure:
                 look = {"s": 14, "color": colours[mode], "alpha": 0.7}
                 ax.scatter(fit, [place] * len(fit), linewidths=0, **look)
                 ends = [place - 0.25, place + 0.25]
-                ax.plot([np.median(fit)] * 2, ends, color=INK)
+                ax.plot([np.median(fit)] * 2, ends, color=INK_COLOUR)
             ax.set_xlabel("fit ratio of the unseen record [%]")
             ax.set_title(mode.replace("_", " "))
             ax.set_yticks(range(len(names)), names)

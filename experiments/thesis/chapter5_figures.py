@@ -6,7 +6,15 @@ from chapter5_tables import MODES
 from matplotlib.axes import Axes
 
 from jaxnarx import Channel
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, ORANGE, RED, canvas, use_style
+from jaxnarx.shell.figures.style import (
+    BLUE,
+    GREY,
+    INK_COLOUR,
+    ORANGE,
+    RED,
+    canvas,
+    use_style,
+)
 
 COLORS = {"one_step": GREY, "free_run": BLUE}
 
@@ -21,7 +29,9 @@ def draw_prediction(
             top, low = axes[column], axes[2 + column]
             runs = {k: models[k]["runs"]["unseen"][mode] for k in ("CORR", "ERR")}
             one = runs["CORR"]
-            top.plot(one["at"], one["measured"], color=INK, lw=1.6, label="measured")
+            top.plot(
+                one["at"], one["measured"], color=INK_COLOUR, lw=1.6, label="measured"
+            )
             for (name, run), color in zip(runs.items(), (BLUE, ORANGE), strict=True):
                 top.plot(run["at"], run["predicted"], color=color, lw=0.9, label=name)
                 error = run["measured"] - run["predicted"]
@@ -48,7 +58,7 @@ def draw_spread(outputs: dict[str, list[dict]]) -> matplotlib.figure.Figure:
         axes[0].invert_yaxis()
         for label, color in (*COLORS.items(), ("held at its bounds", RED)):
             axes[1].scatter([], [], s=14, color=color, label=label.replace("_", " "))
-        axes[1].plot([], [], "|", color=INK, ms=8, label="median")
+        axes[1].plot([], [], "|", color=INK_COLOUR, ms=8, label="median")
         figure.legend(loc="outside upper right", ncols=4, handletextpad=0.2)
     return figure
 
@@ -62,4 +72,4 @@ def _dots(ax: Axes, seeds: list[dict]) -> None:
             color = [RED if row["diverged"] else COLORS[mode] for row in rows]
             ax.scatter(x, [i + aside] * len(x), s=12, c=color, alpha=0.7, linewidths=0)
             ends = [i + aside - 0.14, i + aside + 0.14]
-            ax.plot([np.median(x)] * 2, ends, color=INK)
+            ax.plot([np.median(x)] * 2, ends, color=INK_COLOUR)

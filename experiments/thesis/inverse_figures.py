@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 
 from jaxnarx.shell.figures.style import (
     BLUE,
-    CYCLE,
+    COLOUR_CYCLE,
     GREY,
-    INK,
+    INK_COLOUR,
     ORANGE,
     RED,
     canvas,
-    plain,
+    plain_text,
     use_style,
 )
 
@@ -44,19 +44,19 @@ def traces(
         for ax, panel in zip(axes, panels, strict=True):
             _panel(ax, time, panel)
         axes[-1].set_xlabel("time [s]")
-        axes[0].set_title(plain(title, 90))
+        axes[0].set_title(plain_text(title, 90))
     return figure
 
 
 def _panel(ax: Axes, time: np.ndarray, panel: Panel) -> None:
     several = len(panel.curves) > 1
-    colors = (GREY, BLUE, ORANGE, RED, *CYCLE) if several else (BLUE,)
+    colors = (GREY, BLUE, ORANGE, RED, *COLOUR_CYCLE) if several else (BLUE,)
     for n, ((name, values), color) in enumerate(
         zip(panel.curves.items(), colors, strict=False)
     ):
         wide = 2.2 if several and n == 0 else 1.0
-        ax.plot(time, values, color=color, lw=wide, label=plain(name))
-    ax.set_ylabel(plain(panel.label, 24))
+        ax.plot(time, values, color=color, lw=wide, label=plain_text(name))
+    ax.set_ylabel(plain_text(panel.label, 24))
     if several:
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97)}
         ax.legend(ncols=4, fontsize=7.5, borderpad=0.0, **place)
@@ -76,14 +76,14 @@ def unity(found: Mapping[str, Any]) -> Figure:
         figure, axes = canvas(9.0, 5.0, rows=2, columns=len(targets))
         for i, target in enumerate(targets):
             top, low = axes[i], axes[len(targets) + i]
-            for (name, value), color in zip(found.items(), CYCLE, strict=False):
+            for (name, value), color in zip(found.items(), COLOUR_CYCLE, strict=False):
                 _gains(top, value, i, name, color)
                 _response(low, value, i, name, color)
             top.axhspan(0.95, 1.05, color=GREY, alpha=0.2, lw=0)
-            top.set(title=plain(target), xlabel="reference at rest")
+            top.set(title=plain_text(target), xlabel="reference at rest")
             low.set(xscale="log", xlabel="frequency [Hz]")
             for ax in (top, low):
-                ax.axhline(1.0, color=INK, lw=0.6)
+                ax.axhline(1.0, color=INK_COLOUR, lw=0.6)
             low.set_ylim(bottom=0)
         axes[0].set_ylabel("static gain")
         axes[len(targets)].set_ylabel("size of the response")
@@ -94,7 +94,7 @@ def unity(found: Mapping[str, Any]) -> Figure:
 def _gains(ax: Axes, value: Any, i: int, name: str, color: str) -> None:
     good = value.settled & ~value.held
     at, gain = value.reference[good, i], value.gain[good, i, i]
-    ax.plot(at, gain, "o", ms=4, color=color, label=plain(name), alpha=0.8)
+    ax.plot(at, gain, "o", ms=4, color=color, label=plain_text(name), alpha=0.8)
 
 
 def _response(ax: Axes, value: Any, i: int, name: str, color: str) -> None:
@@ -103,7 +103,7 @@ def _response(ax: Axes, value: Any, i: int, name: str, color: str) -> None:
         return
     size = np.abs(value.response[good, :, i, i])
     low, middle, high = np.quantile(size, [0.25, 0.5, 0.75], axis=0)
-    ax.plot(value.frequency, middle, color=color, label=plain(name))
+    ax.plot(value.frequency, middle, color=color, label=plain_text(name))
     ax.fill_between(value.frequency, low, high, color=color, alpha=0.15, lw=0)
 
 
@@ -122,8 +122,8 @@ def gain_signs(
                 spot = {"ls": "", "ms": 3.5, "alpha": 0.7, "mew": 0}
                 x, y = place[flag].T
                 ax.plot(x, y, mark, color=color, label=word, **spot)
-            ax.set(xlabel=plain(labels[0]), title=plain(f"{title}{name}", 70))
-        axes[0].set_ylabel(plain(labels[1]))
+            ax.set(xlabel=plain_text(labels[0]), title=plain_text(f"{title}{name}", 70))
+        axes[0].set_ylabel(plain_text(labels[1]))
         axes[0].legend()
     return figure
 
@@ -145,11 +145,11 @@ def authority(
     with use_style():
         figure, (left, right) = canvas(9.0, 3.0, columns=2)
         left.plot(late, torque, ".", ms=2, color=BLUE)
-        left.axhline(0.0, color=INK, lw=0.6)
+        left.axhline(0.0, color=INK_COLOUR, lw=0.6)
         left.set_ylabel("torque by spark [Nm/deg]")
-        for (name, wrong), color in zip(error.items(), CYCLE, strict=False):
+        for (name, wrong), color in zip(error.items(), COLOUR_CYCLE, strict=False):
             size = [float(np.sqrt(np.mean(wrong[bins == b] ** 2))) for b in used]
-            right.plot(middle, size, "o-", ms=3, color=color, label=plain(name))
+            right.plot(middle, size, "o-", ms=3, color=color, label=plain_text(name))
         right.set_ylabel("error of the spark, rms [deg]")
         right.set_ylim(bottom=0)
         right.legend()

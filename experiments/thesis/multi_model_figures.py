@@ -48,7 +48,7 @@ import jaxnarx as jnx
 from jaxnarx.engines import PfiDyno, records
 from jaxnarx.evaluation import describe_partition
 from jaxnarx.metrics import scores
-from jaxnarx.shell.figures.style import BLUE, INK, canvas, save, tone, use_style
+from jaxnarx.shell.figures.style import BLUE, INK_COLOUR, canvas, save, tone, use_style
 from jaxnarx.simulation import Trajectories
 
 NAME = "multi_model_figures"
@@ -82,7 +82,7 @@ def draw_estimates(found: Sequence[Estimates]) -> Figure:
         figure, axes = canvas(9.0, 1.7 * len(found) + 0.4, rows=len(found))
         for ax, (channel, title, y, run, counts) in zip(axes, found, strict=True):
             r2 = scores(y[:, None], run[:, None], counts[:, None])["r2"][0]
-            ax.plot(y, color=INK, lw=1.3, label="measured")
+            ax.plot(y, color=INK_COLOUR, lw=1.3, label="measured")
             ax.plot(run, color=BLUE, lw=0.9, label="model")
             room = 0.2 * np.ptp(y)
             ax.set(title=f"{title}: R2 {r2:.3f}", ylabel=channel.label)
@@ -105,7 +105,9 @@ def draw_process(stages: Sequence[jnx.Network], data: jnx.Dataset) -> Figure:
             for m in range(len(weights)):
                 level = {"levels": [0.5, 1.5], "colors": [tone(m)], "alpha": 0.4}
                 ax.contourf(*grid, (lead == m).astype(float), **level)
-            ax.plot(*np.asarray(entry["cloud"]).T, ".", color=INK, ms=1.2, alpha=0.4)
+            ax.plot(
+                *np.asarray(entry["cloud"]).T, ".", color=INK_COLOUR, ms=1.2, alpha=0.4
+            )
             ax.set(title=f"{n + 2} local models", xlabel=entry["scheduling"][0])
         axes[0].set_ylabel(entries[0]["scheduling"][1])
     return figure

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation import describe_partition
 from jaxnarx.models import Network
-from jaxnarx.shell.figures.style import canvas, plain, tone, use_style
+from jaxnarx.shell.figures.style import canvas, plain_text, tone, use_style
 
 FINENESS = 81
 """Points a side, at most: a surface is drawn face by face."""
@@ -19,7 +19,7 @@ FINENESS = 81
 def validity_surface(network: Network) -> Figure:
     """The largest weight over two scheduling variables, in the colour of its model."""
     entry = next(iter(describe_partition(network).values()))
-    first, second = (plain(name) for name in entry["scheduling"])
+    first, second = (plain_text(name) for name in entry["scheduling"])
     with use_style():
         figure, (ax,) = canvas(5.4, 4.2, subplot_kw={"projection": "3d"})
         _surface(ax, entry["ranges"], np.asarray(entry["after"]["weights"], float))

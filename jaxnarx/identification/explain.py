@@ -53,7 +53,7 @@ def figure(row: Candidate) -> str:
 def candidate_in_use(
     board: Leaderboard, output: str, taken: int | None = None
 ) -> Candidate:
-    """The row of the model in use: taken by hand, else chosen, else the safest."""
+    """The row of the model in use: chosen by hand, by the rule, or else the safest."""
     if taken is not None:
         return next(r for r in board.of(output) if r.number == taken)
     return board.choose(output) or safest(board, output)
@@ -135,7 +135,7 @@ def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
         )
     told = f"{named}, free run {figure(row)} on records left out"
     if row != chosen:
-        return f"{told}: taken by hand in place of {title(chosen)}, {figure(chosen)}."
+        return f"{told}: chosen by hand in place of {title(chosen)}, {figure(chosen)}."
     if row == board.best(output) and board.rule in NONE_NEAR:
         return f"{told}: the best, and {NONE_NEAR[board.rule]} is cheaper."
     return (

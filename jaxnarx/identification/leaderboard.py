@@ -36,7 +36,7 @@ class Candidate:
     output: str
     number: int
     """Counts the candidates of an output in the order in which they finished: of the
-    first output from 1, of the second from 1001; `jaxnarx take` is given it."""
+    first output from 1, of the second from 1001; `jaxnarx choose` is given it."""
     family: str
     """Constant, ARX, OE, filtered inputs, polynomial, shared feedback, LOLIMOT, ..."""
     name: str

@@ -20,9 +20,10 @@ from jaxnarx.errors import DataFileError, JaxnarxError, SpecError
 from jaxnarx.shell import interrupt
 from jaxnarx.shell.messages import say, warn
 
-OK, NOT_ACCEPTABLE, USAGE, DATA, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
+EXIT_OK, EXIT_NOT_ACCEPTABLE, EXIT_USAGE, EXIT_DATA = 0, 1, 2, 3
+EXIT_DEFECT, EXIT_INTERRUPTED = 70, 130
 
-_WORDS = (
+_DESCRIPTION_ADVICE = (
     (
         "Use missing='mask', 'split' or 'interpolate'.",
         'Fill the gap, or state missing = "mask", "split" or "interpolate" under '
@@ -39,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     interrupt.listen()
     _open_streams()
     code = run(arguments)
-    for number in interrupt.ENDING:  # nothing is left to be interrupted
+    for number in interrupt.ENDING_SIGNALS:  # nothing is left to be interrupted
         signal.signal(number, signal.SIG_IGN)
     sys.exit(code)
 
@@ -62,13 +63,22 @@ def _run(arguments: list[str]) -> int:
         import importlib.metadata
 
         say(f"jaxnarx {importlib.metadata.version('jaxnarx')}")
-        return OK
+        return EXIT_OK
+    if arguments[:1] in ([], ["-h"], ["--help"]):
+        from jaxnarx.shell.commands.overview import overview
+
+        say(overview())
+        return EXIT_OK if arguments else EXIT_USAGE
+    from jaxnarx.shell.commands.old_names import replace_old_names
     from jaxnarx.shell.commands.parse import parse
 
+    arguments, advice = replace_old_names(arguments)
+    for sentence in advice:
+        warn(sentence)
     try:
         command = parse(arguments)
     except SystemExit as stop:
-        return int(stop.code or 0) if arguments else USAGE
+        return int(stop.code or 0)
     from jaxnarx.shell import dispatch
 
     return dispatch.run(command, typed=shlex.join(["jaxnarx", *arguments]))
@@ -79,19 +89,19 @@ def _tell(error: BaseException) -> int:
 
     Whatever comes after an interrupt comes of it.
     """
-    if isinstance(error, KeyboardInterrupt) or interrupt.exit_code_asked():
-        code = interrupt.exit_code_asked() or INTERRUPTED
+    if isinstance(error, KeyboardInterrupt) or interrupt.requested_exit_code():
+        code = interrupt.requested_exit_code() or EXIT_INTERRUPTED
         return _fail("interrupted; nothing half-written is left", code)
     if isinstance(error, BrokenPipeError):  # `jaxnarx --help | head`
-        return OK
+        return EXIT_OK
     if isinstance(error, SpecError):
-        return _fail(_as_flag(error), USAGE)
+        return _fail(_name_option(error), EXIT_USAGE)
     if isinstance(error, JaxnarxError):
-        return _fail(str(error), DATA)
+        return _fail(str(error), EXIT_DATA)
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{where}{error.strerror or error}", DATA)
-    return _unforeseen(error)
+        return _fail(f"{where}{error.strerror or error}", EXIT_DATA)
+    return _report_defect(error)
 
 
 def _open_streams() -> None:
@@ -106,7 +116,7 @@ def _open_streams() -> None:
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
 
 
-def _as_flag(error: SpecError) -> str:
+def _name_option(error: SpecError) -> str:
     """The message with the option it is about as it is typed."""
     from jaxnarx.shell.commands.flags import flag_of
 
@@ -115,18 +125,18 @@ def _as_flag(error: SpecError) -> str:
 
 
 def _fail(text: str, exit_code: int) -> int:
-    for ours, theirs in _WORDS:
+    for ours, theirs in _DESCRIPTION_ADVICE:
         text = text.replace(ours, theirs)
     warn(text)
     return exit_code
 
 
-def _unforeseen(error: BaseException) -> int:
+def _report_defect(error: BaseException) -> int:
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         return _fail(
             "the computer's memory does not suffice. Use fewer lags, a lower degree, "
             "or fewer records at a time.",
-            DATA,
+            EXIT_DATA,
         )
     import traceback
 
@@ -134,7 +144,7 @@ def _unforeseen(error: BaseException) -> int:
     return _fail(
         "this is a defect of jaxnarx rather than of your data. Please report it with "
         "the lines above.",
-        DEFECT,
+        EXIT_DEFECT,
     )
 
 

@@ -16,7 +16,8 @@ from jaxnarx.data import (
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.files import write_whole
 from jaxnarx.shell.commands import Describe
-from jaxnarx.shell.messages import count, next_command, quote_command, say, size, warn
+from jaxnarx.shell.messages import count, quote_command, say, size, warn
+from jaxnarx.shell.next_command import tell_next
 
 
 def describe(command: Describe) -> int:
@@ -54,16 +55,17 @@ def describe(command: Describe) -> int:
     write_whole(out, toml(found, root, given).encode("utf-8"))
     say(f"\nwrote {out}")
     where = ["--root", str(root)] if given == "." and relative != "." else []
+    check = ("jaxnarx", "check", str(out), *where)
     try:
         split = read_split(out, root=root if where else None)
     except JaxnarxError as error:
         warn(f"what it describes cannot be read yet: {error}")
-        next_command("jaxnarx", "check", str(out), *where, then=", when that is mended")
+        tell_next(quote_command(*check, remark=", when that is mended"))
         return 3
     say(size(split.all))
     for note in split.all.notes:
         say(note)
-    next_command("jaxnarx", "check", str(out), *where)
+    tell_next(quote_command(*check))
     return 0
 
 
@@ -113,7 +115,7 @@ def _options_to_add(found: Survey) -> list[str]:
         return []
     inputs = [one.name for one in found.of("input")]
     outputs = [one.name for one in found.of("output")]
-    options = quote_command(["--outputs", *outputs, "--inputs", *inputs, left[0]])
+    options = quote_command("--outputs", *outputs, "--inputs", *inputs, left[0])
     return [f"left out: {', '.join(left)}; to add {left[0]}: {options}"]
 
 
@@ -126,7 +128,7 @@ def toml(found: Survey, root: Path, relative: str) -> str:
         "[data]",
         f"root = {_text(relative)}  # folder of the files, as seen from this one",
         *_time(found),
-        *_missing(found),
+        *_missing_lines(found),
         *_layout(found),
         "",
         "[channels.inputs]  # what moves the engine; name = unit",
@@ -134,7 +136,7 @@ def toml(found: Survey, root: Path, relative: str) -> str:
         "",
         "[channels.outputs]  # what is to be modelled",
         *(_channel(c) for c in found.of("output")),
-        *_left_out(found),
+        *_unused_channels(found),
         "",
         "[records]  # files, or patterns such as day1/*.csv; !pattern takes some away",
         *_records(found, root),
@@ -163,7 +165,7 @@ def _time(found: Survey) -> list[str]:
     return lines
 
 
-def _missing(found: Survey) -> list[str]:
+def _missing_lines(found: Survey) -> list[str]:
     gaps = [c for c in found.channels if c.missing > 0 and c.role != "left out"]
     if not gaps:
         return ['# missing = "mask"  # or "split", "interpolate"; default: refuse']
@@ -198,7 +200,7 @@ def _channel(one: ChannelGuess) -> str:
     return f"{_text(one.channel)} = {what}  {told}"
 
 
-def _left_out(found: Survey) -> list[str]:
+def _unused_channels(found: Survey) -> list[str]:
     left = found.of("left out")
     lines = [f"# {_text(c.name)} = {_text(c.unit)}  # {c.reason}" for c in left]
     return ["", "# Left out:", *lines] if left else []

@@ -9,7 +9,12 @@ from jaxnarx.errors import SpecError
 from jaxnarx.shell import commands
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.exit_code import exit_code_of, require_finite
-from jaxnarx.shell.messages import about, next_command, quote_command, say, size, warn
+from jaxnarx.shell.messages import about, quote_command, say, size, warn
+from jaxnarx.shell.next_command import (
+    propose_after_method,
+    propose_simulation,
+    tell_next,
+)
 from jaxnarx.shell.reading import tell_reading
 
 if TYPE_CHECKING:
@@ -41,8 +46,8 @@ def _run(command: commands.Command, typed: str) -> int:
         return _identify(command, typed)
     if isinstance(command, commands.Leaderboard):
         return _leaderboard(command)
-    if isinstance(command, commands.Take):
-        return _take(command, typed)
+    if isinstance(command, commands.Choose):
+        return _choose(command, typed)
     if isinstance(command, commands.Invert):
         return _invert(command, typed)
     if isinstance(command, commands.Export):
@@ -96,7 +101,7 @@ def _check(command: commands.Check) -> int:
     findings, lags = check(data), suggest_lags(data)
     status = 0 if findings.is_okay else 3
     if command.json:
-        found = {"findings": findings.to_dict(), "lags": _lags(lags)}
+        found = {"findings": findings.to_dict(), "lags": _lags_dict(lags)}
         say(json.dumps(found, allow_nan=False, indent=1))
         return status
     which = "" if split.train is None else " for training"
@@ -104,13 +109,12 @@ def _check(command: commands.Check) -> int:
     say(f"{findings}\n\n{lags}")
     root = () if command.root is None else ("--root", command.root)
     if status:
-        next_command(
-            "jaxnarx", "check", command.description, *root, then=", errors corrected"
-        )
+        words = ["jaxnarx", "check", command.description, *root]
+        tell_next(quote_command(*words, remark=", errors corrected"))
         return status
     names = data.channels.output_names
     one = ("--output", names[0]) if len(names) > 1 else ()
-    next_command("jaxnarx", "identify", command.description, *root, *one)
+    tell_next(quote_command("jaxnarx", "identify", command.description, *root, *one))
     return status
 
 
@@ -141,26 +145,26 @@ def _prepare(command: commands.Prepare) -> int:
 
     steps = make_steps(command)
     split = read_description(command.description, command.root)
-    _next_check(write_prepared(split, steps, command.out, force=command.force))
+    _tell_next_check(write_prepared(split, steps, command.out, force=command.force))
     return 0
 
 
 def _simulate_engine(command: commands.SimulateEngine, typed: str) -> int:
     from jaxnarx.shell.simulate_engine import simulate_engine
 
-    _next_check(simulate_engine(command, typed))
+    _tell_next_check(simulate_engine(command, typed))
     return 0
 
 
-def _next_check(file: Path) -> None:
+def _tell_next_check(file: Path) -> None:
     """Advise to look at a description that was just written."""
     # the variable would send the reader of the new files to the old ones
     elsewhere = os.environ.get("JAXNARX_DATA")
     root = ("--root", str(file.parent)) if elsewhere else ()
-    next_command("jaxnarx", "check", str(file), *root)
+    tell_next(quote_command("jaxnarx", "check", str(file), *root))
 
 
-def _lags(lags: "LagSuggestion") -> dict[str, Any]:
+def _lags_dict(lags: "LagSuggestion") -> dict[str, Any]:
     pairs = [
         {
             "input": u,
@@ -186,7 +190,7 @@ def _demo(command: commands.Demo, typed: str) -> int:
     from jaxnarx.engines import pfi_siso_records
     from jaxnarx.settings import ForwardOLS, Identification, Lolimot, Polynomial
     from jaxnarx.shell.identify import OneMethod, identify
-    from jaxnarx.shell.output import RUN, run_folder
+    from jaxnarx.shell.output import RUN_FILES, run_folder
 
     if command.events < 200:
         raise SpecError("--events must be at least 200", field="events")
@@ -201,28 +205,30 @@ def _demo(command: commands.Demo, typed: str) -> int:
         grow=Lolimot(scheduling=("duty[t-3]", "speed[t-1]"), max_models=command.models),
     )
     task = OneMethod(method, typed)
-    with run_folder(command.out, "demo", force=command.force, marks=RUN) as folder:
+    with run_folder(
+        command.out, "demo", force=command.force, marks=RUN_FILES
+    ) as folder:
         say(
             f"Simulating the port-injected engine: 3 records of {command.events} events"
         )
         data = pfi_siso_records(jax.random.key(command.seed), (command.events,) * 3)
         parts = {"train": data[0], "validate": data[1], "test": data[2]}
-        words = ["jaxnarx", "check", "engine.toml"]
-        then = words, "  (a description of your records)"
+        words = ("jaxnarx", "check", "engine.toml")
+        then = quote_command(*words, remark="  (a description of your records)")
         result = identify(task, parts, folder, follow=lambda _: then)
     return exit_code_of(result)
 
 
 def _leaderboard(command: commands.Leaderboard) -> int:
-    from jaxnarx.shell.search.take import show
+    from jaxnarx.shell.search.choose import show
 
     return show(command)
 
 
-def _take(command: commands.Take, typed: str) -> int:
-    from jaxnarx.shell.search.take import take
+def _choose(command: commands.Choose, typed: str) -> int:
+    from jaxnarx.shell.search.choose import choose
 
-    return take(command, typed)
+    return choose(command, typed)
 
 
 def _identify(command: commands.Identify, typed: str) -> int:
@@ -230,18 +236,19 @@ def _identify(command: commands.Identify, typed: str) -> int:
         from jaxnarx.shell.search.run import search
 
         return search(command, command.method, typed)
-    return _by_method(command, command.method, typed)
+    return _identify_by_method(command, command.method, typed)
 
 
-def _by_method(command: commands.Identify, asked: "Identification", typed: str) -> int:
+def _identify_by_method(
+    command: commands.Identify, asked: "Identification", typed: str
+) -> int:
     from jaxnarx.shell.identify import (
         OneMethod,
         check_method,
         identify,
         preparation_task,
     )
-    from jaxnarx.shell.next_command import next_words
-    from jaxnarx.shell.output import RUN, run_folder
+    from jaxnarx.shell.output import RUN_FILES, run_folder
 
     require_finite("require_fit", command.require_fit)
     share = 0.2 if command.hold_out is None else command.hold_out
@@ -251,10 +258,10 @@ def _by_method(command: commands.Identify, asked: "Identification", typed: str) 
     task = preparation_task(split.preparation, OneMethod(method, typed))
     outputs = method.pool.outputs
     name = f"{Path(command.description).stem}-{'-'.join(outputs[:3])}"
-    with run_folder(command.out, name, force=command.force, marks=RUN) as folder:
+    with run_folder(command.out, name, force=command.force, marks=RUN_FILES) as folder:
         parts = _parts(split, share)
         follow = partial(
-            next_words,
+            propose_after_method,
             command,
             model=str(folder / "model.safetensors"),
             outputs=outputs,
@@ -311,7 +318,7 @@ def _plan(command: commands.Plan, typed: str) -> int:
 
 def _invert(command: commands.Invert, typed: str) -> int:
     from jaxnarx.models import load
-    from jaxnarx.shell.invert import FILES, check_command, invert, limits_of
+    from jaxnarx.shell.invert import RESULT_FILES, check_command, invert, limits_of
     from jaxnarx.shell.output import run_folder
 
     forward = load(command.model)
@@ -319,18 +326,21 @@ def _invert(command: commands.Invert, typed: str) -> int:
     limits_of(command.range, command.rate)
     split = read_description(command.description, command.root)
     name = f"{Path(command.description).stem}-inverse"
-    with run_folder(command.out, name, force=command.force, marks=FILES) as folder:
+    with run_folder(
+        command.out, name, force=command.force, marks=RESULT_FILES
+    ) as folder:
         with about(command.description):
             parts = _parts(split, command.hold_out)
             solution = invert(command, typed, forward, parts, folder)
-    say(f"\nwrote {', '.join(FILES)} to {folder}")
+    say(f"\nwrote {', '.join(RESULT_FILES)} to {folder}")
     if not solution.is_okay:
         warn(
             f"{solution.status_name}: {solution.detail}. Try fewer --terms, a lower "
             "--degree or other lags."
         )
-    model = str(folder / FILES[0])
-    next_command("jaxnarx", "simulate", model, "wanted.csv", "--through", command.model)
+    model = str(folder / RESULT_FILES[0])
+    words = ["jaxnarx", "simulate", model, "wanted.csv", "--through", command.model]
+    tell_next(quote_command(*words))
     return 0
 
 
@@ -349,7 +359,7 @@ def _report(command: commands.Report, typed: str) -> int:
     from jaxnarx.shell.identify import require_rows
     from jaxnarx.shell.junit import junit_file, write_junit
     from jaxnarx.shell.model_file import load_model
-    from jaxnarx.shell.output import RUN, run_folder, write_report, write_together
+    from jaxnarx.shell.output import RUN_FILES, run_folder, write_report, write_together
 
     require_finite("require_fit", command.require_fit)
     bare = command.no_limits
@@ -362,15 +372,17 @@ def _report(command: commands.Report, typed: str) -> int:
         folder, force = None, command.force
         if command.out is not None:
             folder = stack.enter_context(
-                run_folder(command.out, "", force=force, marks=RUN[1:])
+                run_folder(command.out, "", force=force, marks=RUN_FILES[1:])
             )
         junit = stack.enter_context(junit_file(command.junit, force=force))
-        with about(command.description):
+        with about(command.description, but=("over",)):
             told = {"command": typed}
             if split.preparation is not None:
                 told["preparation"] = split.preparation.describe()
-            others = {path: load_model(path, no_limits=bare) for path in command.beside}
-            over = command.over or None
+            others = {
+                path: load_model(path, no_limits=bare) for path in command.compare
+            }
+            over = command.map or None
             result = report(
                 network,
                 parts,
@@ -379,8 +391,7 @@ def _report(command: commands.Report, typed: str) -> int:
                 within=command.within,
                 provenance=told,
             )
-            following = ["jaxnarx", "simulate", command.model, "new_run.csv"]
-            result = replace(result, next_command=quote_command(following))
+            result = replace(result, next_command=propose_simulation(command.model))
         say(str(result))
         if folder is not None:
             with write_together(folder) as place:
@@ -389,10 +400,11 @@ def _report(command: commands.Report, typed: str) -> int:
             write_junit(result, junit, command.require_fit)
     if folder is not None:
         say(f"\nOpen {folder / 'report.html'}")
-        next_command(*following)
+        tell_next(result.next_command)
     else:
         words = ["jaxnarx", "report", command.model, command.description]
         words += [] if command.root is None else ["--root", command.root]
         words += ["--no-limits"] if bare else []
-        next_command(*words, "--out", "FOLDER", then="  (writes the page with figures)")
+        words += ["--out", "FOLDER"]
+        tell_next(quote_command(*words, remark="  (writes the page with figures)"))
     return exit_code_of(result, command.require_fit)

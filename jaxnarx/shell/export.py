@@ -20,15 +20,15 @@ from jaxnarx.shell.commands import Export
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.messages import about, say, size, warn
 
-README = "README.md"
-DEAR = 2.0
+README_FILE = "README.md"
+EXPENSIVE_INDEX_RATIO = 2.0
 """The index is said to be dear where a sample takes so many times the operations of
 the model."""
 
 
 def export_model(command: Export, typed: str) -> int:
     """Write the files, and what the proof has found; returns the exit code."""
-    network = _with_policy(load(command.model), command)
+    network = _set_policy(load(command.model), command)
     data = _records(command, network) if command.files else None
     with about(command.model, but=("over", "name")):
         found = export(
@@ -36,13 +36,13 @@ def export_model(command: Export, typed: str) -> int:
             data,
             to=command.to,
             name=command.name,
-            over=command.over or None,
+            over=command.map or None,
             index=not command.without_index,
             level=command.level,
             precision=command.precision,
             verify=not command.unproven,
         )
-    files = {**found.files, README: readme(found, typed, data)}
+    files = {**found.files, README_FILE: readme(found, typed, data)}
     marks = list(files)
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
         with output.write_together(folder) as place:
@@ -56,14 +56,14 @@ def export_model(command: Export, typed: str) -> int:
     for one, why in found.failed.items():
         warn(f"not written: {one}: {why}")
     cost = found.program.cost
-    if found.operations > DEAR * found.program.model_operations:
+    if found.operations > EXPENSIVE_INDEX_RATIO * found.program.model_operations:
         cost += " (--without-index)"
     say(f"{cost}; {found.parameters} parameters in tables, {found.kept} numbers kept")
     say(f"wrote {', '.join(files)} to {folder}")
     return 1 if found.failed else 0
 
 
-def _with_policy(network: Network, command: Export) -> Network:
+def _set_policy(network: Network, command: Export) -> Network:
     """The model with what the command says of inputs that are not finite."""
     if command.nan is None and command.invalid_after is None:
         return network

@@ -24,7 +24,8 @@ from jaxnarx.settings import (
     replace_at,
 )
 from jaxnarx.shell.description import tell_findings
-from jaxnarx.shell.messages import count, first_lines, quote_command, say
+from jaxnarx.shell.messages import count, first_lines, say
+from jaxnarx.shell.next_command import tell_next
 from jaxnarx.shell.output import write_report, write_together
 from jaxnarx.shell.progress import (
     refinement_progress,
@@ -62,7 +63,7 @@ def check_method(method: Identification, channels: Channels) -> Identification:
             "--select simulation takes one output at a time; add "
             f"--output {outputs[0]!r}, say"
         )
-    for name in _logarithmic(method):
+    for name in _logarithmic_outputs(method):
         if name not in outputs:
             raise SpecError(
                 f"--log: {name!r} is not modelled. {suggest(name, outputs)}"
@@ -84,13 +85,12 @@ def identify(
     parts: dict[str, Dataset],
     folder: Path,
     *,
-    follow: Callable[[Verdict], tuple[list[str], str]],
+    follow: Callable[[Verdict], str],
 ) -> Report:
     """Identify on `parts["train"]`, guard on "validate", report on all of them.
 
     Writes `model.safetensors`, `report.json` and `report.html` into `folder`, all or
-    none. `follow` tells the command to type next, and a remark behind it. Returns the
-    report.
+    none. `follow` returns the command to type next. Returns the report.
     """
     begin = time.perf_counter()
     method = task.method
@@ -103,9 +103,7 @@ def identify(
         fit = verb(train, method, validation=judges, progress=tell)
     grown = fit.stats["grown"].value
     result = _report(task, parts, fit)
-    result = dataclasses.replace(
-        result, next_command=quote_command(*follow(result.verdict))
-    )
+    result = dataclasses.replace(result, next_command=follow(result.verdict))
     with write_together(folder) as place:
         about: dict[str, Any] = {"command": task.command}
         if task.preparation is not None:
@@ -119,7 +117,7 @@ def identify(
         f"and report.html to {folder}"
     )
     say(f"\nOpen {folder / 'report.html'}")
-    say(f"\nNext: {result.next_command}")
+    tell_next(result.next_command)
     return result
 
 
@@ -142,7 +140,7 @@ class Teller(ExitStack):
         else:
             _tell(ended)
             if verb == "grow":
-                self._grown(ended.value)
+                self._tell_regions(ended.value)
 
     def _begin(self, candidates: int) -> None:
         asked = getattr(self.method.select, "max_terms", candidates)
@@ -151,7 +149,7 @@ class Teller(ExitStack):
         if asked > candidates:
             say(f"  {asked} were asked for; there are no more candidates")
 
-    def _grown(self, network: Network) -> None:
+    def _tell_regions(self, network: Network) -> None:
         for name, model in zip(network.computed_names, network.models, strict=True):
             terms = count(model.local.index.shape[1], "term")
             of = "of" if np.asarray(model.local.used).all() else "of up to"
@@ -167,13 +165,13 @@ class Teller(ExitStack):
             self.progress = self.enter_context(refinement_progress())
 
 
-def _logarithmic(method: Identification) -> tuple[str, ...]:
+def _logarithmic_outputs(method: Identification) -> tuple[str, ...]:
     """Outputs whose errors are refined on a logarithmic scale."""
     powers = getattr(method.refine, "box_cox", None)
     return tuple(powers) if isinstance(powers, Mapping) else ()
 
 
-STOPPED = {
+REFINEMENT_ENDS = {
     "ok": "converged",
     "budget_spent": "all steps used",
     "no_improvement": "stopped where validation improves no further",
@@ -187,11 +185,11 @@ def _describe_refinement(fit: Solution[Network], method: Identification) -> str:
     squared = getattr(refine, "loss", "squares") == "squares"
     start, end = fit.stats["loss_start"], fit.stats["loss"]
     name = "loss"
-    if squared and not _logarithmic(method):
+    if squared and not _logarithmic_outputs(method):
         name, start, end = "NRMSE", start**0.5, end**0.5
     mode = "free-run" if isinstance(refine, SimulationError) else "one-step"
     _, mark, more = fit.detail.partition(";")
-    ended = STOPPED.get(fit.status_name, fit.status_name)
+    ended = REFINEMENT_ENDS.get(fit.status_name, fit.status_name)
     return f"{ended}: {mode} {name} on validation {start:.4g} -> {end:.4g}{mark}{more}"
 
 

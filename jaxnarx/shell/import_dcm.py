@@ -9,11 +9,12 @@ from jaxnarx.exporters import lower, read_parameters
 from jaxnarx.models import Network, load, load_about, save
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import ImportDcm
-from jaxnarx.shell.messages import about, count, next_command, say
+from jaxnarx.shell.messages import about, count, quote_command, say
+from jaxnarx.shell.next_command import tell_next
 
-LARGEST = 64 * 2**20
+MAX_FILE_BYTES = 64 * 2**20
 """Bytes of a file that are read."""
-MODEL = "model.safetensors"
+MODEL_FILE = "model.safetensors"
 
 
 def import_dcm(command: ImportDcm) -> int:
@@ -21,30 +22,34 @@ def import_dcm(command: ImportDcm) -> int:
     before = load(command.model)
     with about(command.model):
         after = read_parameters(before, _text(command.file), command.file)
-    for line in changes(before, after):
+    for line in list_changes(before, after):
         say(line)
     if after is before:
         say("Nothing has changed; no model was written.")
         return 0
     told = {**load_about(command.model), "parameters": command.file}
-    with output.run_folder(command.out, "", force=command.force, marks=[MODEL]) as here:
-        save(after, here / MODEL, about=told)
-    for line in what_is_lost(before, after):
+    with output.run_folder(
+        command.out, "", force=command.force, marks=[MODEL_FILE]
+    ) as here:
+        save(after, here / MODEL_FILE, about=told)
+    for line in list_losses(before, after):
         say(line)
-    say(f"wrote {here / MODEL}")
-    next_command("jaxnarx", "report", str(here / MODEL), "DESCRIPTION")
+    say(f"wrote {here / MODEL_FILE}")
+    tell_next(quote_command("jaxnarx", "report", str(here / MODEL_FILE), "DESCRIPTION"))
     return 0
 
 
 def _text(path: str) -> str:
     """Read text of ISO 8859-1, in which every byte is a letter."""
     with guard_reading(path, "a DCM file or C source"):
-        if Path(path).stat().st_size > LARGEST:
-            raise DataFileError(f"{path}: larger than {LARGEST >> 20} MB", path=path)
+        if Path(path).stat().st_size > MAX_FILE_BYTES:
+            raise DataFileError(
+                f"{path}: larger than {MAX_FILE_BYTES >> 20} MB", path=path
+            )
         return Path(path).read_bytes().decode("iso-8859-1")
 
 
-def changes(before: Network, after: Network) -> list[str]:
+def list_changes(before: Network, after: Network) -> list[str]:
     """The number of changed entries of every table, and the largest change."""
     old, new = ({t.name: t for t in lower(n).tables} for n in (before, after))
     lines = []
@@ -62,7 +67,7 @@ def changes(before: Network, after: Network) -> list[str]:
     return lines
 
 
-def what_is_lost(before: Network, after: Network) -> list[str]:
+def list_losses(before: Network, after: Network) -> list[str]:
     """The facts that were known of the model before and are not of what it is now."""
     lines = []
     if before.errors is not None and after.errors is None:

@@ -3,10 +3,10 @@
 Python hears a signal between two of its own steps. It is then raised as a
 KeyboardInterrupt, on whose way out files are cleared away. Where it is swallowed (by an
 import that takes it for a missing package, or by the garbage collector), whatever error
-follows counts as the interrupt, see `asked`. A program of jax may compute for minutes
-between two such steps: after `PATIENCE` seconds the process ends all the same. What it
-leaves then is cleared by later runs, as after a kill. Work that has a result to show at
-any time is given the time to do so, see `patiently`.
+follows counts as the interrupt, see `requested_exit_code`. A program of jax may compute
+for minutes between two such steps: after `ENDING_SECONDS` seconds the process ends all
+the same. What it leaves then is cleared by later runs, as after a kill. Work that has a
+result to show at any time is given the time to do so, see `finish_on_interrupt`.
 """
 
 import contextlib
@@ -20,15 +20,15 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-PATIENCE = 3.0
+ENDING_SECONDS = 3.0
 """Seconds that an interrupted command has to end by itself."""
 
-GLANCE = 0.05
+RAISE_AGAIN_SECONDS = 0.05
 """Seconds until an interrupt that was swallowed is raised again."""
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
-_asked: list[int] = []
+_received: list[int] = []
 _swallowed = threading.Event()
 _last_words: list[Callable[[], object]] = []
 _patient: list[Callable[[], object]] = []
@@ -42,13 +42,13 @@ def listen() -> None:
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(read,), daemon=True).start()
     sys.unraisablehook = _hook(sys.unraisablehook)
-    for number in ENDING:
+    for number in ENDING_SIGNALS:
         signal.signal(number, _raise)
 
 
-def exit_code_asked() -> int:
+def requested_exit_code() -> int:
     """The exit code of the signal that asked this process to end; 0 if none did."""
-    return 128 + _asked[0] if _asked else 0
+    return 128 + _received[0] if _received else 0
 
 
 @contextlib.contextmanager
@@ -69,7 +69,7 @@ class Patience:
 
 
 @contextlib.contextmanager
-def patiently(tell: Callable[[], object]) -> Iterator[Patience]:
+def finish_on_interrupt(tell: Callable[[], object]) -> Iterator[Patience]:
     """Give the work inside all the time that it needs after a first Ctrl-C.
 
     It gets a KeyboardInterrupt as always, and `tell` is called at once, in another
@@ -81,30 +81,30 @@ def patiently(tell: Callable[[], object]) -> Iterator[Patience]:
     _patient.append(tell)
     try:
         yield patience
-        if set(_asked) == {signal.SIGINT}:
+        if set(_received) == {signal.SIGINT}:
             patience.used = True
-            _asked.clear()
-        elif _asked:
+            _received.clear()
+        elif _received:
             raise KeyboardInterrupt
     finally:
         _patient.remove(tell)
 
 
 def _raise(number: int, frame: Any) -> None:
-    _asked.append(number)
+    _received.append(number)
     raise KeyboardInterrupt
 
 
 def _hook(before: Callable[[Any], object]) -> Callable[[Any], object]:
     """Let no exception out of jax's callback in the garbage collector, for one."""
 
-    def told(found: Any) -> None:
+    def listen_to(found: Any) -> None:
         if issubclass(found.exc_type, KeyboardInterrupt):
             _swallowed.set()
         else:
             before(found)
 
-    return told
+    return listen_to
 
 
 def _watch(signals: int) -> None:
@@ -112,10 +112,10 @@ def _watch(signals: int) -> None:
     if number == signal.SIGINT and _patient:
         with contextlib.suppress(Exception):
             _patient[-1]()
-        number = _second(signals)
-    until = time.monotonic() + PATIENCE
+        number = _second_signal(signals)
+    until = time.monotonic() + ENDING_SECONDS
     while time.monotonic() < until:
-        time.sleep(GLANCE)
+        time.sleep(RAISE_AGAIN_SECONDS)
         if _swallowed.is_set():
             _swallowed.clear()
             signal.raise_signal(number)
@@ -129,12 +129,12 @@ def _watch(signals: int) -> None:
 
 def _end_on_signal(signals: int) -> int:
     """The next signal that asks the process to end."""
-    while (number := os.read(signals, 1)[0]) not in ENDING:
+    while (number := os.read(signals, 1)[0]) not in ENDING_SIGNALS:
         pass
     return number
 
 
-def _second(signals: int) -> int:
+def _second_signal(signals: int) -> int:
     """The signal after a first Ctrl-C, which is raised again where it is swallowed."""
     ours = 0
     while True:
@@ -142,7 +142,7 @@ def _second(signals: int) -> int:
             _swallowed.clear()
             ours += 1  # it comes back to us
             signal.raise_signal(signal.SIGINT)
-        if not select.select([signals], [], [], GLANCE)[0]:
+        if not select.select([signals], [], [], RAISE_AGAIN_SECONDS)[0]:
             continue
         number = _end_on_signal(signals)
         if ours and number == signal.SIGINT:

@@ -37,8 +37,12 @@ from jaxnarx.shell.parse_ranges import parse_assignment
 from jaxnarx.simulation import simulate
 from jaxnarx.solution import Solution
 
-MODEL, TRACKING, FIGURE = "inverse.safetensors", "tracking.json", "tracking.png"
-FILES = (MODEL, "report.json", "report.html", TRACKING, FIGURE)
+MODEL_FILE, TRACKING_FILE, FIGURE_FILE = (
+    "inverse.safetensors",
+    "tracking.json",
+    "tracking.png",
+)
+RESULT_FILES = (MODEL_FILE, "report.json", "report.html", TRACKING_FILE, FIGURE_FILE)
 
 
 def limits_of(ranges: Sequence[str], rates: Sequence[str]) -> ActuatorLimits:
@@ -75,7 +79,7 @@ def invert(
 ) -> Solution[Tracking]:
     """Identify on `parts["train"]`, guard on "validate", follow references of the last.
 
-    Writes `FILES` into `out`, all or none; returns the cascade on the last part.
+    Writes `RESULT_FILES` into `out`, all or none; returns the cascade on the last part.
     """
     targets = check_command(command, forward)
     limits = limits_of(command.range, command.rate)
@@ -100,7 +104,7 @@ def invert(
         )
         for name, data in parts.items()
     }
-    direct = _direct(command, backwards)
+    direct = _fit_direct(command, backwards)
     trained = _train(command, direct, forward, parts, limits)
     last = list(parts)[-1]
     ways = {"direct": direct, "trained": trained}
@@ -116,17 +120,19 @@ def invert(
         "lead": found.value.lead,
         "part": last,
         "tracking": {name: _figures(s) for name, s in followed.items()},
-        "static_gain_off_one": _finite(gain.value.worst()),
+        "static_gain_off_one": _finite_or_none(gain.value.worst()),
     }
     with write_together(out) as place:
-        save(trained, place / MODEL, about={"command": typed})
+        save(trained, place / MODEL_FILE, about={"command": typed})
         write_report(report(trained, backwards, provenance={"command": typed}), place)
-        write_text(place / TRACKING, json.dumps(text, allow_nan=False, indent=1))
-        save_figure(draw_tracking(followed, float(forward.sample_time)), place / FIGURE)
+        write_text(place / TRACKING_FILE, json.dumps(text, allow_nan=False, indent=1))
+        save_figure(
+            draw_tracking(followed, float(forward.sample_time)), place / FIGURE_FILE
+        )
     return followed["trained"]
 
 
-def _direct(command: Invert, data: dict[str, Dataset]) -> Network:
+def _fit_direct(command: Invert, data: dict[str, Dataset]) -> Network:
     """The inverse by itself: terms, regions, and its own free run."""
     train, lags = data["train"], command.method.pool.input_lags
     references = {name: lags for name in train.channels.input_names}
@@ -189,7 +195,7 @@ def _tell(followed: dict[str, Solution[Tracking]], part: str, worst: float) -> N
     names = followed["trained"].value.target_names
     say(f"{'':10s}" + "".join(f"{name[:12]:>13s}" for name in names))
     for way, solution in followed.items():
-        cells = "".join(f"{_shown(x):>13s}" for x in _errors(solution))
+        cells = "".join(f"{_format_error(x):>13s}" for x in _errors(solution))
         say(
             f"{way:10s}{cells}" + (f"  {solution.status_name}" * (not solution.is_okay))
         )
@@ -207,7 +213,7 @@ def _errors(solution: Solution[Tracking]) -> list[float | None]:
     """Tracking error of every target; None where the cascade diverges."""
     if not solution.is_okay:
         return [None] * len(solution.value.targets)
-    return [_finite(float(x)) for x in solution.value.nrmse()]
+    return [_finite_or_none(float(x)) for x in solution.value.nrmse()]
 
 
 def _figures(solution: Solution[Tracking]) -> dict[str, Any]:
@@ -219,9 +225,9 @@ def _figures(solution: Solution[Tracking]) -> dict[str, Any]:
     }
 
 
-def _finite(x: float) -> float | None:
+def _finite_or_none(x: float) -> float | None:
     return x if math.isfinite(x) else None
 
 
-def _shown(x: float | None) -> str:
+def _format_error(x: float | None) -> str:
     return "-" if x is None else f"{x:.4f}"

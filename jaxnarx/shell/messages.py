@@ -1,9 +1,9 @@
-"""What commands tell people: lines, warnings, the next step, whose fault it is."""
+"""What commands tell people: lines, warnings, commands, whose fault it is."""
 
 import os
 import shlex
 import sys
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -40,14 +40,9 @@ def warn(text: str) -> None:
     say(f"jaxnarx: {text}", aside=True)
 
 
-def next_command(*words: str, then: str = "") -> None:
-    """The next sensible command, quoted for the shell."""
-    say(f"\nNext: {quote_command(words, then)}")
-
-
-def quote_command(words: Sequence[str], then: str = "") -> str:
+def quote_command(*words: str, remark: str = "") -> str:
     """A command as it is typed, and a remark behind it."""
-    return f"{shlex.join(words)}{then}"
+    return f"{shlex.join(words)}{remark}"
 
 
 def first_lines(report: "Report") -> str:

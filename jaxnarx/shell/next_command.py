@@ -1,10 +1,9 @@
-"""The next command after an identification: the one that the verdict calls for."""
+"""The next command: how it is printed, and which one a verdict calls for."""
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from jaxnarx.evaluation import Verdict
 from jaxnarx.settings import (
     KIND_KEY,
     Global,
@@ -16,10 +15,14 @@ from jaxnarx.settings import (
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.flags import words_of
 from jaxnarx.shell.commands.search import Automatic
+from jaxnarx.shell.messages import quote_command, say
 
-SLOW = (4, 16, 64)
+if TYPE_CHECKING:
+    from jaxnarx.evaluation import Verdict
+
+FILTER_TIME_CONSTANTS_SAMPLES = (4, 16, 64)
 """Time constants of filters that are proposed, in samples."""
-ADVICE = {
+DESCRIPTION_REMARKS = {
     "cover": "  (with records that reach as far under train)",
     "test": "  (with records under test that take part in no choice)",
     "records": "  (with the record corrected or left out)",
@@ -28,65 +31,82 @@ ADVICE = {
 """What has to change in the description before the same command helps."""
 
 
-LARGER = {"quick": "good", "linear": "good", "ecu": "good", "good": "best"}
+LARGER_PRESETS = {"quick": "good", "linear": "good", "ecu": "good", "good": "best"}
 """The preset that tries more."""
 
 
-def next_search(
-    command: Identify, asked: Automatic, verdict: Verdict | None, *, model: str
-) -> tuple[list[str], str]:
-    """The words to type next after a search, and a remark behind them.
+def tell_next(command: str) -> None:
+    """Print the command to type next, as `quote_command` makes it."""
+    say(f"\nNext: {command}")
+
+
+def propose_simulation(model: str) -> str:
+    """The command that runs a model on new records."""
+    return quote_command("jaxnarx", "simulate", model, "new_run.csv")
+
+
+def propose_after_search(
+    command: Identify, asked: Automatic, verdict: "Verdict | None", *, model: str
+) -> str:
+    """The command to type next after a search, and a remark behind it.
 
     A good model is simulated; an interrupted search (no verdict) is gone on with. Else
     the search is proposed again, with other records or a larger preset.
     """
     if verdict is not None and not verdict.findings:
-        return ["jaxnarx", "simulate", model, "new_run.csv"], ""
+        return propose_simulation(model)
     again = dataclasses.replace(command, force=False)
     if verdict is None:
-        return words_of(again), "  (goes on)"
+        return _propose(again, "  (goes on)")
     if verdict.remedy == "test":
-        return words_of(again), ADVICE["test"]
+        return _propose(again, DESCRIPTION_REMARKS["test"])
     # With other records it is another search.
     anew = dataclasses.replace(again, force=True)
-    if verdict.remedy in ADVICE:
-        return words_of(anew), ADVICE[verdict.remedy]
+    if verdict.remedy in DESCRIPTION_REMARKS:
+        return _propose(anew, DESCRIPTION_REMARKS[verdict.remedy])
     again = dataclasses.replace(again, out=None)
     if verdict.remedy == "bounded" and asked.preset != "linear":
         change = dataclasses.replace(asked, preset="linear")
     elif verdict.remedy == "unstable" and asked.preset != "ecu":
         change = dataclasses.replace(asked, preset="ecu")
-    elif asked.preset in LARGER and verdict.remedy not in ("bounded", "unstable"):
-        change = dataclasses.replace(asked, preset=LARGER[asked.preset], budget=None)
+    elif asked.preset in LARGER_PRESETS and verdict.remedy not in (
+        "bounded",
+        "unstable",
+    ):
+        change = dataclasses.replace(
+            asked, preset=LARGER_PRESETS[asked.preset], budget=None
+        )
     else:
-        return words_of(anew), "  (with more training records)"
-    return words_of(dataclasses.replace(again, method=change)), ""
+        return _propose(anew, "  (with more training records)")
+    return _propose(dataclasses.replace(again, method=change))
 
 
-def next_words(
+def propose_after_method(
     command: Identify,
-    verdict: Verdict,
+    verdict: "Verdict",
     *,
     model: str,
     outputs: Sequence[str],
     inputs: Sequence[str],
     sample_time: float,
-) -> tuple[list[str], str]:
-    """The words to type next, and a remark behind them.
+) -> str:
+    """The command to type next after one method, and a remark behind it.
 
     A good model is simulated. Otherwise the same identification is proposed with what
     helps against the worst reason: other records, or the first setting of a list that
     is not in use yet.
     """
     if not verdict.findings:
-        return ["jaxnarx", "simulate", model, "new_run.csv"], ""
+        return propose_simulation(model)
     again = dataclasses.replace(command, out=None, force=False)
-    if verdict.remedy in ADVICE:
-        return words_of(again), ADVICE[verdict.remedy]
+    if verdict.remedy in DESCRIPTION_REMARKS:
+        return _propose(again, DESCRIPTION_REMARKS[verdict.remedy])
     method = command.method
     assert not isinstance(method, Automatic), "a search has no settings to change"
     pool, terms = method.pool, getattr(method.select, "max_terms", 2)
-    filters = tuple(float(f"{n * sample_time:.3g}") for n in SLOW)
+    filters = tuple(
+        float(f"{n * sample_time:.3g}") for n in FILTER_TIME_CONSTANTS_SAMPLES
+    )
     linear = {"pool.degree": 1} if pool.degree > 1 else {}
     free = isinstance(method.select, SimulationOLS)
     choice = {} if len(outputs) > 1 or free else {"select": "simulation"}
@@ -111,6 +131,9 @@ def next_words(
     }
     change = next((c for c in orders[verdict.remedy] if c), None)
     if change is None:
-        return words_of(again), "  (with more training records)"
-    changes = dataclasses.replace(again, method=replace_at(method, change))
-    return words_of(changes), ""
+        return _propose(again, "  (with more training records)")
+    return _propose(dataclasses.replace(again, method=replace_at(method, change)))
+
+
+def _propose(command: Identify, remark: str = "") -> str:
+    return quote_command(*words_of(command), remark=remark)

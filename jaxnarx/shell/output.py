@@ -17,7 +17,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.files import unwritable
 from jaxnarx.shell.formats import Values, table_csv, write_text
-from jaxnarx.shell.unfinished import PREFIX, folders_in_use, new_folder
+from jaxnarx.shell.unfinished import UNFINISHED_PREFIX, folders_in_use, new_folder
 
 if TYPE_CHECKING:
     from jaxnarx.confidence import Intervals
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jaxnarx.simulation import Trajectories
 
 
-RUN = ("model.safetensors", "report.json", "report.html")
+RUN_FILES = ("model.safetensors", "report.json", "report.html")
 """Files of a run; one that is there already is not overwritten without --force."""
 
 
@@ -56,7 +56,7 @@ def run_folder(
         with ExitStack() as stack:
             try:
                 if out is None:
-                    folder = _new(Path("runs") / slug(name), made)
+                    folder = _make_new(Path("runs") / slug(name), made)
                 else:
                     _make(folder := Path(out), made)
                 stack.enter_context(new_folder(folder, marks, by))
@@ -93,14 +93,14 @@ def _make(folder: Path, made: list[Path]) -> None:
         )
 
 
-def _new(base: Path, made: list[Path]) -> Path:
+def _make_new(base: Path, made: list[Path]) -> Path:
     """Make the first of base, base-2, ... that is free: no two runs share one.
 
     What killed runs have left beside it is cleared first.
     """
     _make(base.parent, made)
     for other in base.parent.iterdir():
-        if any(other.glob(PREFIX + "*")) and not folders_in_use(other):
+        if any(other.glob(UNFINISHED_PREFIX + "*")) and not folders_in_use(other):
             with suppress(OSError):  # where there is more in it
                 other.rmdir()
     number = 1

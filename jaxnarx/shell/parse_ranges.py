@@ -6,7 +6,8 @@ from typing import Any
 
 from jaxnarx.errors import SpecError
 
-SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+UNIT_SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+"""Seconds of the units of a time; without one it is in seconds."""
 
 
 def parse_assignment(
@@ -23,11 +24,9 @@ def parse_assignment(
     return name, *numbers
 
 
-def seconds(text: str, option: str) -> float:
-    """`90`, `90s`, `20min` or `1.5h` in seconds."""
-    match = re.fullmatch(r"\s*([0-9.]+)\s*([a-z]*)\s*", text)
-    if match is None or match[2] not in SECONDS or match[1].count(".") > 1:
-        raise SpecError(
-            f"{option} must be a time such as 90s, 20min or 1h, got {text!r}"
-        )
-    return float(match[1]) * SECONDS[match[2]]
+def parse_seconds(text: str, option: str) -> float:
+    """`90`, `90s`, `20min`, `20m` or `1.5h` in seconds; SpecError unless positive."""
+    found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)", text.strip().lower())
+    if found is None or found[2] not in UNIT_SECONDS or not float(found[1]):
+        raise SpecError(f"{option} takes a time such as 90s, 20min or 1h, got {text!r}")
+    return float(found[1]) * UNIT_SECONDS[found[2]]

@@ -8,12 +8,13 @@ from jaxnarx.models import load
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Plan
 from jaxnarx.shell.formats import table_csv
-from jaxnarx.shell.messages import count, next_command, say, warn
-from jaxnarx.shell.parse_ranges import parse_assignment, seconds
+from jaxnarx.shell.messages import count, quote_command, say, warn
+from jaxnarx.shell.next_command import tell_next
+from jaxnarx.shell.parse_ranges import parse_assignment, parse_seconds
 from jaxnarx.shell.record_files import describe, record_csv
 
-PLAN, DESCRIPTION, PREDICTED = "plan.csv", "plan.toml", "predicted.csv"
-FIELDS = {
+PLAN_FILE, DESCRIPTION_FILE, PREDICTED_FILE = "plan.csv", "plan.toml", "predicted.csv"
+ARGUMENT_OPTIONS = {
     "ranges": "range",
     "rates": "rate",
     "forbidden": "forbid",
@@ -27,20 +28,20 @@ def plan_test(command: Plan, typed: str) -> int:
     """Plan, write, tell; returns the exit code."""
     asked = _verb_arguments(command)
     network = load(command.model)
-    marks = [PLAN, DESCRIPTION, PREDICTED]
+    marks = [PLAN_FILE, DESCRIPTION_FILE, PREDICTED_FILE]
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
         try:
             found = plan(network, **asked)
         except SpecError as error:
-            if error.field not in FIELDS:
+            if error.field not in ARGUMENT_OPTIONS:
                 raise
             text = str(error).removeprefix(f"{error.field} ")
-            raise SpecError(f"--{FIELDS[error.field]} {text}") from error
+            raise SpecError(f"--{ARGUMENT_OPTIONS[error.field]} {text}") from error
         data = found.value.data
         texts = {
-            PLAN: record_csv(data, 0),
-            DESCRIPTION: describe(data, {"files": [PLAN]}, by=typed),
-            PREDICTED: predicted_csv(found.value),
+            PLAN_FILE: record_csv(data, 0),
+            DESCRIPTION_FILE: describe(data, {"files": [PLAN_FILE]}, by=typed),
+            PREDICTED_FILE: predicted_csv(found.value),
         }
         with output.write_together(folder) as place:
             for name, text in texts.items():
@@ -51,10 +52,15 @@ def plan_test(command: Plan, typed: str) -> int:
         say(f"{name}: predicted {room:.4g} or more inside of its limit")
     if not found.is_okay:
         warn(f"{found.status_name}: limits leave little to be planned; widen them")
-    say(f"wrote {PLAN}, {DESCRIPTION} and {PREDICTED} to {folder}")
-    next_command(
-        "jaxnarx", "check", str(folder / DESCRIPTION), "--model", command.model
+    say(f"wrote {PLAN_FILE}, {DESCRIPTION_FILE} and {PREDICTED_FILE} to {folder}")
+    words = (
+        "jaxnarx",
+        "check",
+        str(folder / DESCRIPTION_FILE),
+        "--model",
+        command.model,
     )
+    tell_next(quote_command(*words))
     return 0
 
 
@@ -65,12 +71,12 @@ def _verb_arguments(command: Plan) -> dict:
     form = "NAME=HIGHEST or NAME=LOWEST:HIGHEST"
     limits = [parse_assignment(t, "--limit", form, 1, 2) for t in command.limit]
     return {
-        "duration": seconds(command.duration, "--duration"),
+        "duration": parse_seconds(command.duration, "--duration"),
         "ranges": {name: tuple(pair) for name, *pair in ranges},
         "rates": dict(rates),
         "forbidden": command.forbid,
         "limits": {n: x[0] if len(x) == 1 else tuple(x) for n, *x in limits},
-        "hold": tuple(seconds(t, "--hold") for t in command.hold or ()) or None,
+        "hold": tuple(parse_seconds(t, "--hold") for t in command.hold or ()) or None,
         "seed": command.seed,
     }
 

@@ -23,7 +23,7 @@ from jaxnarx.inverse import Tracking
 from jaxnarx.models import Network
 from jaxnarx.selection import Selection, criteria_of
 from jaxnarx.shell import figures
-from jaxnarx.shell.figures.leaderboard import BY, error_over_operations
+from jaxnarx.shell.figures.leaderboard import COST_LABELS, error_over_operations
 from jaxnarx.shell.figures.linear import bode, poles, step_responses
 from jaxnarx.shell.figures.local_models import local_models
 from jaxnarx.shell.figures.style import save
@@ -88,7 +88,7 @@ def gates(
 
 def _entry(network: Network, data, start, output: str | None) -> dict[str, Any]:
     entries = describe_partition(network, start=start, data=data)
-    name = _named(output, list(network.output_names))
+    name = _require_output(output, list(network.output_names))
     if output is None and entries:
         return next(iter(entries.values()))
     if name not in entries:
@@ -111,7 +111,7 @@ def free_run(
 
     Default: the record with the largest error in free run.
     """
-    name = _named(output, list(network.output_names))
+    name = _require_output(output, list(network.output_names))
     chosen = data if record is None else data[record]
     found = report(
         network, chosen, horizons=(1,), stability=False, diagnostics=False
@@ -120,7 +120,7 @@ def free_run(
     if trace is None:
         raise SpecError(f"no sample of {name} can be scored", field="data")
     error = "diverged" if trace.rmse is None else f"RMSE {trace.rmse:.4g}"
-    return figures.report.measured_and_simulated(
+    return figures.report.draw_free_run(
         trace.time,
         trace.measured,
         trace.simulated,
@@ -182,7 +182,7 @@ def tracking(
 def selection_path(selection: Selection, *, output: str | None = None) -> Figure:
     """Error reduction of the terms in order of choice, and the criteria by size."""
     names = selection.output_names
-    o = names.index(_named(output, names))
+    o = names.index(_require_output(output, names))
     count, table = selection.size(o), criteria_of(selection, o)
     shown = (("AICc", "aicc"), ("BIC", "bic"), ("FPE", "fpe"))
     return figures.report.selection_path(
@@ -205,7 +205,9 @@ def errors_by_size(
     """
     names = selection.output_names
     found = evaluation.errors_by_size(selection, data)
-    return figures.comparison.by_size(found[names.index(_named(output, names))])
+    return figures.comparison.draw_errors_by_size(
+        found[names.index(_require_output(output, names))]
+    )
 
 
 def leaderboard(
@@ -215,12 +217,12 @@ def leaderboard(
 
     `by="parameters"` shows it over the number of parameters.
     """
-    choice(by, tuple(BY), "by")
-    entry = describe(board, _named(output, board.outputs))
+    choice(by, tuple(COST_LABELS), "by")
+    entry = describe(board, _require_output(output, board.outputs))
     return error_over_operations(entry, by=by)
 
 
-RESIDUALS = ("lags", "operating points", "free run")
+RESIDUAL_VIEWS = ("lags", "operating points", "free run")
 """What residuals are drawn over."""
 
 
@@ -236,8 +238,8 @@ def residuals(
     `over="operating points"` shows their mean over every variable instead, and
     `"free run"` correlations of the free run's residual with the inputs.
     """
-    name = _named(output, list(network.output_names))
-    choice(over, RESIDUALS, "over")
+    name = _require_output(output, list(network.output_names))
+    choice(over, RESIDUAL_VIEWS, "over")
     if over == "free run":
         solution = evaluation.diagnose_free_run(network, data)
         free = [one for one in solution.value if one.output.name == name]
@@ -324,7 +326,7 @@ def response_surface(
     return figures.steady_states.response_surface(found)
 
 
-def _named(output: str | None, names: list[str]) -> str:
+def _require_output(output: str | None, names: list[str]) -> str:
     if output is None:
         return names[0]
     if output not in names:

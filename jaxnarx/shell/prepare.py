@@ -35,9 +35,9 @@ from jaxnarx.shell.output import (
 )
 from jaxnarx.shell.record_files import describe, record_csv
 
-DESCRIPTION, PREPARATION = "prepared.toml", "preparation.json"
+DESCRIPTION_FILE, PREPARATION_FILE = "prepared.toml", "preparation.json"
 
-_FLAGS = {
+_SETTING_OPTIONS = {
     "half_width": "--hampel",
     "cutoff": "--low-pass",
     "factor": "--decimate",
@@ -69,7 +69,7 @@ def make_steps(command: Prepare) -> list[AbstractStep]:
         if command.scale is not None:
             steps.append(Scale(kind=command.scale))
     except SpecError as error:
-        raise _as_flag(error) from error
+        raise _name_option(error) from error
     if not steps:
         raise SpecError(
             "prepare has nothing to do; give at least one step, such as --decimate 2 "
@@ -78,10 +78,10 @@ def make_steps(command: Prepare) -> list[AbstractStep]:
     return steps
 
 
-def _as_flag(error: SpecError) -> SpecError:
+def _name_option(error: SpecError) -> SpecError:
     """The error with the option that was typed in place of the library's setting."""
     field = error.field or ""
-    flag = _FLAGS.get(field)
+    flag = _SETTING_OPTIONS.get(field)
     return SpecError(re.sub(rf"^{field}\b", flag, str(error)) if flag else str(error))
 
 
@@ -104,7 +104,7 @@ def write_prepared(
         _, preparation = prepare(fitted_to, steps)
         done, report = preparation.apply_reported(split.all)
     except SpecError as error:
-        raise _as_flag(error) from error
+        raise _name_option(error) from error
     say(str(report))
     if split.preparation is not None:
         preparation = preparation.prepend(split.preparation)
@@ -113,19 +113,19 @@ def write_prepared(
     lengths = [len(data) for data in parts.values()]
     starts = np.cumsum([0, *lengths]).tolist()
     of = {p: names[a : a + n] for p, a, n in zip(parts, starts, lengths, strict=False)}
-    made = {"preparation": PREPARATION}
-    texts[DESCRIPTION] = describe(done, of, by="jaxnarx prepare", extra=made)
+    made = {"preparation": PREPARATION_FILE}
+    texts[DESCRIPTION_FILE] = describe(done, of, by="jaxnarx prepare", extra=made)
     kept = preparation.to_dict()
-    texts[PREPARATION] = json.dumps(kept, allow_nan=False, indent=1)
+    texts[PREPARATION_FILE] = json.dumps(kept, allow_nan=False, indent=1)
     with run_folder(out, "", force=force, marks=list(texts)) as folder:
         with write_together(folder) as place:
             for name, text in texts.items():
                 write_text(place / name, text)
     say(
         f"\nwrote {count(len(names), 'record')} at {done.sample_time:g} s, "
-        f"{DESCRIPTION} and {PREPARATION} to {folder}"
+        f"{DESCRIPTION_FILE} and {PREPARATION_FILE} to {folder}"
     )
-    return folder / DESCRIPTION
+    return folder / DESCRIPTION_FILE
 
 
 def stored_preparation(model: str | os.PathLike[str]) -> Preparation | None:
@@ -161,7 +161,9 @@ def raw_channels(preparation: Preparation, channels: Channels) -> Channels:
         ) from error
 
 
-def as_trained(preparation: Preparation, raw: Dataset, channels: Channels) -> Dataset:
+def prepare_like_training(
+    preparation: Preparation, raw: Dataset, channels: Channels
+) -> Dataset:
     """Raw records as the model saw its training records, with its channels."""
     data, report = preparation.apply_reported(raw)
     data = match_channels(data, channels)[0]

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from jaxnarx.shell.messages import count, say
 
-SILENT, LONG = 2.0, 10.0
+SILENT_SECONDS, LINE_INTERVAL_SECONDS = 2.0, 10.0
 """Seconds until reading is told of, and between lines about one file."""
-PAUSE = 0.5
+READING_PAUSE_SECONDS = 0.5
 """Seconds without a file being read after which the reading is over."""
 
 
@@ -64,11 +64,13 @@ class _ReadingLog:
         """Say what there is to say at a time of the clock [s]."""
         path = self.now
         if path is not None and at < math.inf:
-            if at - self.last > (LONG if path == self.told else SILENT):
+            if at - self.last > (
+                LINE_INTERVAL_SECONDS if path == self.told else SILENT_SECONDS
+            ):
                 more = f" (file {self.seen[path]})" if len(self.seen) > 1 else ""
                 say(f"reading {path}{more}", aside=True)
                 self.last, self.told = at, path
-        elif self.told is not None and at - self.changed > PAUSE:
+        elif self.told is not None and at - self.changed > READING_PAUSE_SECONDS:
             files = count(len(self.seen), "file")
             say(f"read {files} in {self.spent:.0f} s", aside=True)
             self.told = None

@@ -30,7 +30,7 @@ def record_csv(
     columns = {k: np.asarray(v).astype(int).tolist() for k, v in (flags or {}).items()}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    first = _free("event" if by_event else "time [s]", names)
+    first = _unused_header("event" if by_event else "time [s]", names)
     writer.writerow([first, *map(cell, names), *map(cell, columns)])
     for k, (row, valid) in enumerate(
         zip(x.tolist(), record.valid.tolist(), strict=True)
@@ -41,7 +41,7 @@ def record_csv(
     return text.getvalue()
 
 
-def _free(name: str, names: Sequence[str]) -> str:
+def _unused_header(name: str, names: Sequence[str]) -> str:
     """A header that no channel has."""
     while name in names:
         name = "record " + name

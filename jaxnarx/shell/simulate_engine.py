@@ -18,14 +18,14 @@ from jaxnarx.shell.messages import count, say
 from jaxnarx.shell.output import run_folder, write_text, write_together
 from jaxnarx.shell.record_files import describe, record_csv
 
-DESCRIPTION, FIGURE = "engine.toml", "excitation.png"
-SHORTEST = 20
+DESCRIPTION_FILE, FIGURE_FILE = "engine.toml", "excitation.png"
+MIN_RECORD_SAMPLES = 20
 """Samples of the shortest record."""
 
-USUAL = 2000
+EXCITATION_EVENTS = 2000
 """Events of the usual excitation that tell operating point and range."""
 
-LEVELS = 8
+STAIRCASE_LEVELS = 8
 """Levels of the staircase, up and down again."""
 
 
@@ -40,7 +40,7 @@ def simulate_engine(command: SimulateEngine, typed: str) -> Path:
         )
     parts = _parts(command.records)
     names = [f"{name}.csv" for part in parts.values() for name in part]
-    marks = [*names, DESCRIPTION, FIGURE]
+    marks = [*names, DESCRIPTION_FILE, FIGURE_FILE]
     with run_folder(command.out, "", force=command.force, marks=marks) as folder:
         data, flags = _simulate(engine, command, [n[:-4] for n in names])
         by_event = engine.event is not None and command.sample_time is None
@@ -51,14 +51,14 @@ def simulate_engine(command: SimulateEngine, typed: str) -> Path:
         }
         files = {part: [f"{n}.csv" for n in group] for part, group in parts.items()}
         remarks = _remarks(engine, by_event)
-        texts[DESCRIPTION] = describe(data, files, by=typed, remarks=remarks)
+        texts[DESCRIPTION_FILE] = describe(data, files, by=typed, remarks=remarks)
         with write_together(folder) as place:
             for name, text in texts.items():
                 write_text(place / name, text)
-            _draw(engine, data, place / FIGURE)
+            _draw(engine, data, place / FIGURE_FILE)
     count_of = count(len(names), "record")
-    say(f"\nwrote {count_of}, {DESCRIPTION} and {FIGURE} to {folder}")
-    return folder / DESCRIPTION
+    say(f"\nwrote {count_of}, {DESCRIPTION_FILE} and {FIGURE_FILE} to {folder}")
+    return folder / DESCRIPTION_FILE
 
 
 def _simulate(
@@ -69,10 +69,10 @@ def _simulate(
     if command.spread:
         engine = engine.perturb(keys[0], command.spread)
     length = round(command.duration / engine.sample_time)
-    if length < SHORTEST:
+    if length < MIN_RECORD_SAMPLES:
         raise SpecError(
             f"--duration {command.duration:g} is {count(length, 'sample')} of "
-            f"{engine.sample_time:g} s; give at least {SHORTEST}"
+            f"{engine.sample_time:g} s; give at least {MIN_RECORD_SAMPLES}"
         )
     inputs = [
         _inputs(engine, command, jax.random.fold_in(keys[1], i), length, i)
@@ -128,7 +128,7 @@ def _inputs(
     name = known[0] if command.input is None else command.input
     if name not in known:
         raise SpecError(f"--input: no input {name!r}. {suggest(name, known)}")
-    usual = np.asarray(engine.excite(jax.random.key(0), USUAL))
+    usual = np.asarray(engine.excite(jax.random.key(0), EXCITATION_EVENTS))
     j = known.index(name)
     span = (float(usual[:, j].min()), float(usual[:, j].max()))
     # The event nearest to the middle of all: a mean of events may be none itself.
@@ -166,7 +166,7 @@ def _signal(
             amplitude=span,
             sample_time=sample_time,
         )
-    levels = np.linspace(*span, LEVELS)
+    levels = np.linspace(*span, STAIRCASE_LEVELS)
     stairs = [*levels, *levels[-2::-1]]
     each = -(-length // len(stairs))
     return signals.steps([float(x) for x in stairs], hold=each)[:length]

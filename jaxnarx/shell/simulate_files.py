@@ -15,9 +15,14 @@ from jaxnarx.shell import output
 from jaxnarx.shell.commands import Simulate
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.formats import plain_names, write_columns
-from jaxnarx.shell.messages import about, count, next_command, say, size, warn
+from jaxnarx.shell.messages import about, count, quote_command, say, size, warn
 from jaxnarx.shell.model_file import load_model
-from jaxnarx.shell.prepare import as_trained, raw_channels, stored_preparation
+from jaxnarx.shell.next_command import tell_next
+from jaxnarx.shell.prepare import (
+    prepare_like_training,
+    raw_channels,
+    stored_preparation,
+)
 from jaxnarx.simulation import Trajectories, predict, simulate
 
 
@@ -73,9 +78,8 @@ def simulate_files(command: Simulate) -> int:
         )
     if solution.detail:
         warn(f"{solution.status_name}: {solution.detail}")
-    next_command(
-        "jaxnarx", "report", command.model, "engine.toml", then="  (to score it)"
-    )
+    words = ("jaxnarx", "report", command.model, "engine.toml")
+    tell_next(quote_command(*words, remark="  (to score it)"))
     return 0
 
 
@@ -168,7 +172,7 @@ def _new_data(command: Simulate, network: Network) -> Dataset:
     wanted = raw_channels(known, network.channels)
     raw = _records(command, wanted, known.sample_time)
     with about(command.files[0]):
-        return as_trained(known, raw, network.channels)
+        return prepare_like_training(known, raw, network.channels)
 
 
 def _records(

@@ -14,7 +14,7 @@ from pathlib import Path
 from jaxnarx.errors import SpecError
 from jaxnarx.files import hold_lock, lock_folder
 
-PREFIX = ".unfinished-"
+UNFINISHED_PREFIX = ".unfinished-"
 
 
 @contextmanager
@@ -27,7 +27,7 @@ def new_folder(
     the option `by` that names another folder.
     """
     # Named before it is made: an interrupt in between leaves nothing either.
-    place, handle = folder / f"{PREFIX}{secrets.token_hex(8)}", None
+    place, handle = folder / f"{UNFINISHED_PREFIX}{secrets.token_hex(8)}", None
     try:
         with hold_lock(folder):
             for other in folders_in_use(folder):
@@ -61,7 +61,7 @@ def folders_in_use(folder: Path) -> list[Path]:
     """The places at which living processes write in `folder`; what dead ones have left
     is removed."""
     living = []
-    for place in folder.glob(PREFIX + "*"):
+    for place in folder.glob(UNFINISHED_PREFIX + "*"):
         try:
             handle = lock_folder(place)
         except BlockingIOError:

@@ -87,7 +87,7 @@ def test_a_calibrator_changes_the_model(place, capsys):
     """Export, one number changed in the file, import: the model, and what is told."""
     net = test_dcm.rising()
     jnx.save(net, "model.safetensors", about={"from": "day 1"})
-    words = ["export", "model.safetensors", "--to", "dcm", "a2l", "--over", "b", "a"]
+    words = ["export", "model.safetensors", "--to", "dcm", "a2l", "--map", "b", "a"]
     assert run([*words, "--out", "out"]) == 0
     told = Path("out/README.md").read_text()
     assert "dcm, parameters read back" in told and "jaxnarx import-dcm MODEL" in told
@@ -115,8 +115,8 @@ def test_a_calibrator_changes_the_model(place, capsys):
     assert "out/model.dcm, line" in capsys.readouterr().err
     assert run(["import-dcm", "model.safetensors", "none.dcm"]) == 3
     assert "none.dcm: cannot be opened" in capsys.readouterr().err
-    assert run([*words[:-2], "--over", "b", "--out", "other"]) == 2
-    assert "over" in capsys.readouterr().err
+    assert run([*words[:-2], "--map", "b", "--out", "other"]) == 2
+    assert "--map must name two inputs" in capsys.readouterr().err
 
 
 def test_what_is_wrong_is_told(place, capsys):

@@ -17,7 +17,11 @@ from test_targets import NETWORKS, narrowed
 from jaxnarx.exporters import lower, runners
 from jaxnarx.exporters.proof import Case
 from jaxnarx.models import OUTSIDE
-from jaxnarx.shell.report.page._running import described, model_script, own_script
+from jaxnarx.shell.report.page._running import (
+    describe_program,
+    model_script,
+    read_script,
+)
 
 EXACT = 1e-11
 """In shares of an output's largest value: rounding; the page is to keep to 1e-9."""
@@ -32,7 +36,7 @@ def cases() -> list[tuple[str, str, list[Case]]]:
     found = []
     for name, net in networks.items():
         program = lower(net)
-        about = json.dumps(described(program))
+        about = json.dumps(describe_program(program))
         script = f"{model_script(program)}\nconst program = {{...MODEL, ...{about}}};"
         found.append((name, script, [case_of(net, program)]))
     return found
@@ -65,7 +69,7 @@ def beside(case: Case, outputs: list[list[float | None]]) -> float:
 
 @pytest.mark.skipif(runners.node() is None, reason="there is no node here")
 def test_node_runs_every_network_as_simulate_does(cases, tmp_path):
-    run = own_script("run")
+    run = read_script("run")
     parts = [
         f"(() => {{ {script}\nreturn [{', '.join(map(call, some))}]; }})()"
         for _, script, some in cases
@@ -86,7 +90,7 @@ def test_node_runs_every_network_as_simulate_does(cases, tmp_path):
 
 @needs_browser
 def test_chromium_runs_every_network_as_simulate_does(cases):
-    run = own_script("run")
+    run = read_script("run")
     with Browser() as browser:
         for name, script, some in cases:
             for case in some:

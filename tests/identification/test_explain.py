@@ -54,7 +54,7 @@ def test_the_best_that_is_also_the_cheapest_is_called_that():
 
 def test_one_taken_by_hand_stands_beside_the_chosen():
     told = sentences(board("y"), "y", 2)
-    assert "taken by hand in place of 3 (polynomial: degree 2), 0.200" in told[0]
+    assert "chosen by hand in place of 3 (polynomial: degree 2), 0.200" in told[0]
     assert describe(board("y"), "y", 2)["used"] == 2
     assert candidate_in_use(board("y"), "y", 2).family == "ARX"
 

@@ -14,7 +14,7 @@ from search_fakes import NAMES, FakeSearch, board, fitted
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.identification import Leaderboard
 from jaxnarx.identification.search_folder import open_search
-from jaxnarx.shell.cli import DEFECT, run
+from jaxnarx.shell.cli import EXIT_DEFECT, run
 
 pytestmark = pytest.mark.slow
 
@@ -87,8 +87,8 @@ def sound(tmp_path_factory) -> Path:
 COMMANDS = (
     ["leaderboard", "s"],
     ["leaderboard", "s", "--csv"],
-    ["take", "s", "2", "--out", "t"],
-    ["take", "s", "1", "8", "--out", "t"],
+    ["choose", "s", "2", "--out", "t"],
+    ["choose", "s", "1", "8", "--out", "t"],
     ["identify", "engine.toml", "--out", "s"],
 )
 
@@ -113,7 +113,7 @@ def test_a_command_on_a_damaged_search(
         damage(home / "s" / "search.json", rng)
         code = run(command)
         out, err = capsys.readouterr()
-        assert code != DEFECT, err[-400:]
+        assert code != EXIT_DEFECT, err[-400:]
         assert code in (0, 1) or err.startswith("jaxnarx: "), err
         for text in (out, err):
             assert all(c.isprintable() or c == "\n" for c in text)

@@ -29,6 +29,7 @@ from jaxnarx.files import cell
 from jaxnarx.models import hold_to_range, load, save
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.commands import COMMANDS
+from jaxnarx.shell.commands.overview import TASK_COMMANDS
 from jaxnarx.shell.output import file_names, slug
 
 ROWS = 240
@@ -226,13 +227,21 @@ def test_help_lists_every_key_of_a_description(capsys):
     assert sorted(table["data"]) == sorted(listed)
 
 
-def test_the_commands_are_listed_with_their_exit_codes(capsys):
+def test_the_commands_are_listed_by_task_on_one_screen(capsys):
+    assert [name for names in TASK_COMMANDS.values() for name in names] == list(
+        COMMANDS
+    )
     assert run(["--help"]) == 0
     text = capsys.readouterr().out
-    assert all(f"• {name}" in text for name in COMMANDS)
+    lines = text.splitlines()
+    assert len(lines) < 24 and max(map(len, lines)) <= 80
+    rows = lines[4:-4]
+    assert [row[:10].strip() for row in rows if row[0] != " "] == list(TASK_COMMANDS)
+    assert [row[10:27].strip() for row in rows] == list(COMMANDS)
+    assert all(row[27:].endswith(".") for row in rows)
     assert "130 interrupted" in text and "1 model not usable" in text
     assert run([]) == 2
-    assert "• identify" in capsys.readouterr().out
+    assert capsys.readouterr().out == text
 
 
 def test_the_version(capsys):
@@ -974,6 +983,11 @@ def test_report_needs_channels_units_and_rows_that_fit(capsys, both):
     fails(capsys, 3, ["report", both, "units.toml"], "units.toml", "'km/h'", "'rpm'")
     fails(capsys, 3, ["report", both, "lack.toml"], "lack.toml", "no channel 'NOx'")
     fails(capsys, 3, ["report", both, "short.toml"], "data", "r1", "9 rows")
+
+
+def test_the_channels_of_a_map_are_named_by_their_option(capsys, both):
+    arguments = ["report", both, "engine.toml", "--map", "speed"]
+    fails(capsys, 2, arguments, "--map must name two channels", "speed")
 
 
 def test_the_data_a_model_was_trained_on_are_called_that(capsys, both):

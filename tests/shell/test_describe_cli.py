@@ -96,7 +96,7 @@ def test_reading_that_takes_long_is_told(place, capsys, monkeypatch):
         return whole(path, asked)
 
     monkeypatch.setattr(csv_file, "contents", slow)
-    monkeypatch.setattr(reading, "SILENT", 0.1)
+    monkeypatch.setattr(reading, "SILENT_SECONDS", 0.1)
     assert run(["describe", "bench/r0.csv"]) == 0
     told = capsys.readouterr().err.splitlines()
     assert set(told[:-1]) == {"reading bench/r0.csv"}  # one file, opened several times

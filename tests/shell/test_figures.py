@@ -21,7 +21,7 @@ from jaxnarx.evaluation._error_map import ErrorMap
 from jaxnarx.evaluation.comparison import ComparedRecord
 from jaxnarx.shell.figures import report as figures
 from jaxnarx.shell.figures import style
-from jaxnarx.shell.figures.comparison import by_size, draw_comparison
+from jaxnarx.shell.figures.comparison import draw_comparison, draw_errors_by_size
 from jaxnarx.shell.figures.inline import inline_svg
 from jaxnarx.shell.figures.partition import partition
 from jaxnarx.shell.figures.relevance import relevance
@@ -35,7 +35,7 @@ def trace(n=400, label="NOx [ppm]"):
     t = np.arange(n) * 0.1
     y = np.sin(t)
     limited = (t > 5) & (t < 6)
-    return figures.measured_and_simulated(
+    return figures.draw_free_run(
         t, y, y + 0.1, label=label, title=label, one_step=y - 0.02, limited=limited
     )
 
@@ -90,7 +90,7 @@ def every(label):
         partition(entry(label, 2, both=False, kind="box")),
         partition(entry(label, 3, kind="box")),
         partition(gated(label)),
-        figures.every_record(records(label)),
+        figures.draw_record_panels(records(label)),
         figures.error_map(
             ErrorMap(
                 label, label, (label, "b"), (np.arange(3.0), np.arange(3.0)), *cells
@@ -110,7 +110,7 @@ def records(label, count=5):
 
 
 def test_every_record_has_a_panel_and_says_its_error():
-    figure = figures.every_record(records("r"))
+    figure = figures.draw_record_panels(records("r"))
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert titles[:2] == ["r: diverged", "r: RMSE 1"] and titles[5:] == [""] * 3
 
@@ -131,7 +131,7 @@ def test_figures_draw_any_channel_name_as_text(i):
 
 
 def test_a_figure_is_laid_out_as_savefig_does_and_keeps_its_engine(monkeypatch):
-    monkeypatch.setattr(style, "LAYOUT", "constrained")
+    monkeypatch.setattr(style, "LAYOUT_ENGINE", "constrained")
     figure, other, stream = trace(), trace(), io.StringIO()
     engine, canvas = figure.get_layout_engine(), figure.canvas
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
@@ -257,7 +257,7 @@ def of_models(label):
         intersections([cut]),
         response_surface(surface),
         draw_comparison(ModelComparison(y, {}, (record,)), [record]),
-        by_size(sizes),
+        draw_errors_by_size(sizes),
     ]
 
 

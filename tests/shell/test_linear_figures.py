@@ -47,7 +47,7 @@ def test_bode_draws_every_system_and_the_measured_response(data):
     top, bottom = figure.axes
     assert "[rpm per %]" in top.get_ylabel()
     curve = SYSTEM.bode()
-    lines = [line for line in top.lines if line.get_label() == style.plain(EVIL)]
+    lines = [line for line in top.lines if line.get_label() == style.plain_text(EVIL)]
     np.testing.assert_allclose(points(lines[0])[1], curve.magnitude)
     # Measured phases stand next to the curve, not turns away.
     (dots,) = (line for line in bottom.lines if line.get_linestyle() == "None")

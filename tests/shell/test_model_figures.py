@@ -65,7 +65,7 @@ def test_unstable_local_models_are_crosses_without_gain(data):
 def test_colours_of_local_models_are_all_different_and_begin_with_the_palette():
     """Apart by more than a display's rounding, in one of the three channels."""
     colours = [style.tone(n) for n in range(24)]
-    assert tuple(colours[:6]) == style.CYCLE and style.tone(24) == style.tone(0)
+    assert tuple(colours[:6]) == style.COLOUR_CYCLE and style.tone(24) == style.tone(0)
     rgb = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in colours])
     apart = np.abs(rgb[:, None] - rgb[None]).max(axis=2) + 255 * np.eye(24, dtype=int)
     assert apart.min() >= 16

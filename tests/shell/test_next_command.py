@@ -11,11 +11,15 @@ from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.flags import words_of
 from jaxnarx.shell.commands.parse import parse
 from jaxnarx.shell.commands.search import Automatic
-from jaxnarx.shell.next_command import next_search, next_words
+from jaxnarx.shell.next_command import propose_after_method, propose_after_search
 
-TYPED = (
-    'identify a.toml --output NOx --terms 9 --schedule "speed[t]" --models 4 --force'
-)
+TYPED = [
+    '--output NOx --terms 9 --schedule "speed[t]" --models 4 --force',
+    "--log NOx HC --ridge 1e-7 --input-lags --filters 1 2.5",
+    "--schedule a b --partition axis-tree --steps 0",
+    "--set refine=prediction pool.degree=3",
+    "--set refine.tolerance=1e-5 --horizons 10 30",
+]
 
 
 def of(outputs):
@@ -24,7 +28,7 @@ def of(outputs):
 
 def following(command, remedy, outputs=("NOx",)):
     found = (Reason("not usable", "why", remedy),) if remedy else ()
-    words, then = next_words(
+    text = propose_after_method(
         command,
         Verdict("", found),
         model="run/m",
@@ -32,11 +36,18 @@ def following(command, remedy, outputs=("NOx",)):
         inputs=("speed", "load", "air"),
         sample_time=0.1,
     )
-    return words, then
+    return parts(text)
 
 
-def test_words_make_the_command_again():
-    command = parse(shlex.split(TYPED))
+def parts(text):
+    """The words of a command, and the remark behind it."""
+    command, remark, rest = text.partition("  (")
+    return shlex.split(command), remark + rest
+
+
+@pytest.mark.parametrize("options", TYPED)
+def test_words_make_the_command_again(options):
+    command = parse(["identify", "a.toml", *shlex.split(options)])
     assert isinstance(command, Identify)
     assert parse(words_of(command)[1:]) == command
 
@@ -73,8 +84,8 @@ def test_a_search_with_an_unstable_region_is_proposed_with_the_stable_preset():
     asked = Automatic()
     command = Identify("a.toml", asked)
     found = Verdict("", (Reason("usable with limits", "why", "unstable"),))
-    words, then = next_search(command, asked, found, model="run/m")
-    assert words[-2:] == ["--preset", "ecu"] and then == ""
+    text = propose_after_search(command, asked, found, model="run/m")
+    assert text.endswith("--preset ecu")
     asked = Automatic(preset="ecu")
-    words, then = next_search(Identify("a.toml", asked), asked, found, model="run/m")
-    assert "more training records" in then
+    text = propose_after_search(Identify("a.toml", asked), asked, found, model="run/m")
+    assert "more training records" in text

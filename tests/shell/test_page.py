@@ -22,9 +22,14 @@ from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.evaluation import Report, ShownRecord, report
 from jaxnarx.identification import describe
 from jaxnarx.shell.report.html import render, write_report
-from jaxnarx.shell.report.page import running
-from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, pack
-from jaxnarx.shell.report.page.records import FARTHEST, choose_records
+from jaxnarx.shell.report.page import make_page
+from jaxnarx.shell.report.page.codec import (
+    COARSE_LEVELS,
+    FINE_LEVELS,
+    MIDDLE_LEVELS,
+    pack,
+)
+from jaxnarx.shell.report.page.records import MAX_INDEX_SHOWN, choose_records
 from jaxnarx.simulation import simulate
 
 READY = "window.jaxnarx && jaxnarx.page.tried"
@@ -134,11 +139,13 @@ def test_series_come_back_within_half_a_level():
         "same": np.full(500, 0.3),
         "none": np.full(500, np.inf),
     }
-    block = pack([(name, FINE, value) for name, value in values.items()], FINE)
+    block = pack(
+        [(name, FINE_LEVELS, value) for name, value in values.items()], FINE_LEVELS
+    )
     found = decoded(block, 500)
     for name in ("noise", "large"):
         off = np.abs(found[name] - values[name])
-        assert off.max() <= 0.5001 * np.ptp(values[name]) / FINE, name
+        assert off.max() <= 0.5001 * np.ptp(values[name]) / FINE_LEVELS, name
     np.testing.assert_allclose(found["gaps"], gaps, atol=0.5001 * np.nanmax(gaps) * 8)
     assert (np.isnan(found["gaps"]) == np.isnan(gaps)).all()
     assert (found["same"] == 0.3).all() and np.isnan(found["none"]).all()
@@ -161,12 +168,16 @@ def long(samples: int, seed: int) -> ShownRecord:
 
 def test_records_that_do_not_fit_are_reduced_and_it_is_told():
     records = [long(6000, seed) for seed in range(4)]
-    for limit, levels in ((10**9, FINE), (160_000, MIDDLE), (140_000, COARSE)):
+    for limit, levels in (
+        (10**9, FINE_LEVELS),
+        (160_000, MIDDLE_LEVELS),
+        (140_000, COARSE_LEVELS),
+    ):
         one = choose_records(records, limit)
         assert f"1/{levels:,} of" in one.told and not any(
             r["bins"] for r in one.records
         )
-    assert f"1/{MIDDLE:,} in the 1 of 4" in one.told
+    assert f"1/{MIDDLE_LEVELS:,} in the 1 of 4" in one.told
     few = choose_records(records, 95_000)
     assert sum(len(json.dumps(r)) for r in few.records) < 100_000
     whole = [r["name"] for r in few.records if not r["bins"]]
@@ -175,7 +186,7 @@ def test_records_that_do_not_fit_are_reduced_and_it_is_told():
     drawn = decoded(one["data"], 2 * one["bins"])
     off = records[0].signals["y"] - records[0].simulated[:, 0]
     assert drawn["r0"].min() == pytest.approx(off.min(), rel=1e-3)
-    assert drawn["i"].max() == FARTHEST
+    assert drawn["i"].max() == MAX_INDEX_SHOWN
     first, length = one["first"], one["length"]
     assert first <= 2000 < first + length
     stretch = decoded(one["stretch"], length)
@@ -211,7 +222,7 @@ def test_samples_in_the_page_are_those_of_the_report(opened, made):
     kept = record.signals["y"], record.simulated[:, 1], record.others["another"][:, 0]
     for ours, theirs in zip(kept, got, strict=True):
         theirs = np.array(theirs, float)
-        assert np.abs(theirs - ours).max() <= 0.51 * np.ptp(ours) / FINE
+        assert np.abs(theirs - ours).max() <= 0.51 * np.ptp(ours) / FINE_LEVELS
 
 
 def range_of(browser: Browser) -> list[float]:
@@ -772,5 +783,5 @@ def test_nothing_of_200_hostile_texts_is_executed(browser, tmp_path, seed):
 
 
 def test_running_tells_what_is_not_there():
-    bare = running(make())
+    bare = make_page(make())
     assert bare.scripts == () and bare.told == "" and not bare.has_model

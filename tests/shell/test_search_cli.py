@@ -1,4 +1,4 @@
-"""`identify` without a method, `leaderboard` and `take`, around a made-up search.
+"""`identify` without a method, `leaderboard` and `choose`, around a made-up search.
 
 One run of two outputs serves most tests.
 """
@@ -221,7 +221,7 @@ def test_another_search_needs_force(copy, capsys, monkeypatch):
     assert len(os.listdir("runs/engine-good/candidates")) == 4
 
 
-# leaderboard and take -------------------------------------------------------------
+# leaderboard and choose -------------------------------------------------------------
 
 
 def test_a_short_table_has_so_many_rows_and_names_the_command_for_all():
@@ -251,8 +251,8 @@ def test_leaderboard_prints_the_table_or_csv(copy, capsys):
 def test_take_makes_another_candidate_the_model(copy, capsys):
     from jaxnarx.models import load
 
-    code, text, _ = typed(capsys, "take runs/engine-good 2 9")
-    assert code == 0 and "taken by hand in place of 3 (polynomial: degree 2)" in text
+    code, text, _ = typed(capsys, "choose runs/engine-good 2 9")
+    assert code == 0 and "chosen by hand in place of 3 (polynomial: degree 2)" in text
     folder = Path("runs/engine-good-2-9")
     assert set(os.listdir(folder)) == FILES - {"leaderboard.csv"}
     assert load(folder / "model.safetensors").output_names == ["y", "w"]
@@ -262,9 +262,9 @@ def test_take_makes_another_candidate_the_model(copy, capsys):
     # of one output only: new data need not bring the other one along
     origin = Path("runs/engine-good/made_from.json")
     origin.write_text(json.dumps({"description": "/gone/engine.toml", "root": None}))
-    code, _, told = typed(capsys, "take runs/engine-good 2")
+    code, _, told = typed(capsys, "choose runs/engine-good 2")
     assert code == 2 and "/gone/engine.toml" in told and "--description" in told
-    words = "take runs/engine-good 2 --description engine.toml --out one"
+    words = "choose runs/engine-good 2 --description engine.toml --out one"
     assert typed(capsys, words)[0] == 0
     assert load("one/model.safetensors").channels.output_names == ["y"]
 
@@ -272,11 +272,11 @@ def test_take_makes_another_candidate_the_model(copy, capsys):
 @pytest.mark.parametrize(
     ("line", "code", "words"),
     [
-        ("take runs/engine-good", 2, "give the number of a candidate"),
-        ("take runs/engine-good 99", 2, "no candidate 99: numbers go from 1 to 10"),
-        ("take runs/engine-good 2 3", 2, "2 and 3 are both of y"),
-        ("take runs/engine-good two", 2, "two"),
-        ("take runs/none 2", 3, "there is no such folder"),
+        ("choose runs/engine-good", 2, "give the number of a candidate"),
+        ("choose runs/engine-good 99", 2, "no candidate 99: numbers go from 1 to 10"),
+        ("choose runs/engine-good 2 3", 2, "2 and 3 are both of y"),
+        ("choose runs/engine-good two", 2, "two"),
+        ("choose runs/none 2", 3, "there is no such folder"),
         ("identify engine.toml --output x", 2, "there is no output 'x'"),
         ("identify engine.toml --preset fast", 2, "fast"),
         ("identify engine.toml --budget soon", 2, "--budget takes a time such as"),
@@ -306,7 +306,7 @@ def test_what_makes_no_sense_is_one_sentence(copy, capsys, line, code, words):
 def heard(monkeypatch):
     """Signals as the command line takes them."""
     before = signal.signal(signal.SIGINT, interrupt._raise)
-    monkeypatch.setattr(interrupt, "_asked", [])
+    monkeypatch.setattr(interrupt, "_received", [])
     yield
     signal.signal(signal.SIGINT, before)
 

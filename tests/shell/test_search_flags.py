@@ -11,8 +11,8 @@ from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.flags import words_of
 from jaxnarx.shell.commands.parse import parse
 from jaxnarx.shell.commands.search import Automatic
-from jaxnarx.shell.commands.search_flags import seconds
-from jaxnarx.shell.next_command import next_search
+from jaxnarx.shell.next_command import propose_after_search
+from jaxnarx.shell.parse_ranges import parse_seconds
 from jaxnarx.shell.search.progress import duration
 from jaxnarx.shell.search.run import folder_name
 
@@ -56,13 +56,13 @@ def test_all_presets_can_be_typed():
     [("90", 90), ("600s", 600), ("10m", 600), ("2 min", 120), (".5h", 1800)],
 )
 def test_a_budget_in_seconds(text, value):
-    assert seconds(text) == value
+    assert parse_seconds(text, "--budget") == value
 
 
 @pytest.mark.parametrize("text", ["", "m", "-3s", "0", "1d", "1e3", "inf", "nan"])
 def test_what_is_no_time(text):
     with pytest.raises(SpecError, match="--budget takes a time"):
-        seconds(text)
+        parse_seconds(text, "--budget")
 
 
 def test_the_folder_has_the_name_of_what_is_searched():
@@ -82,20 +82,21 @@ def test_what_comes_next_can_be_typed_and_changes_something(preset, remedy):
     asked = Automatic(preset, outputs=("NOx",))
     command = Identify("a.toml", asked)
     found = (Reason("not usable", "why", remedy),) if remedy else ()
-    words, then = next_search(command, asked, Verdict("", found), model="m")
+    text = propose_after_search(command, asked, Verdict("", found), model="m")
     if not remedy:
-        assert words == ["jaxnarx", "simulate", "m", "new_run.csv"]
+        assert text == "jaxnarx simulate m new_run.csv"
         return
-    again = parse(words[1:])
+    words, remark, _ = text.partition("  (")
+    again = parse(words.split()[1:])
     assert isinstance(again, Identify)
-    assert then or again != dataclasses.replace(command)
+    assert remark or again != dataclasses.replace(command)
 
 
 def test_a_search_goes_on_by_the_same_words():
     command = parsed("--preset best --out there")
     assert isinstance(command.method, Automatic)
-    words, then = next_search(command, command.method, None, model="m")
-    assert parse(words[1:]) == command and "goes on" in then
+    text = propose_after_search(command, command.method, None, model="m")
+    assert parse(text.removesuffix("  (goes on)").split()[1:]) == command
 
 
 @pytest.mark.parametrize(

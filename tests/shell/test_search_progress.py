@@ -26,7 +26,7 @@ def test_lines_have_one_head_and_tell_the_best_and_the_time_left():
 def test_where_no_line_is_written_one_says_what_is_tried():
     said: list[str] = []
     event = {"output": "torque", "number": 12, "chosen": row(1)}
-    with _CandidateLines(said.append).beating(0.02) as lines:
+    with _CandidateLines(said.append).tell_while_silent(0.02) as lines:
         lines(event | {"trying": Trying("LOLIMOT", "3 models", 2, 4)})
         end = time.monotonic() + 5
         while not any("torque" in line for line in said) and time.monotonic() < end:

@@ -119,7 +119,7 @@ def test_an_interrupt_at_any_moment_leaves_nothing(tmp_path, monkeypatch, when):
     }
 
     def interrupted(place, *args, **kwargs):
-        if unfinished.PREFIX not in Path(place).name:
+        if unfinished.UNFINISHED_PREFIX not in Path(place).name:
             return real[when](place, *args, **kwargs)
         monkeypatch.undo()
         if when != "removed":
@@ -129,4 +129,6 @@ def test_an_interrupt_at_any_moment_leaves_nothing(tmp_path, monkeypatch, when):
     monkeypatch.setattr(*where[when], interrupted)
     with pytest.raises(KeyboardInterrupt), unfinished.new_folder(tmp_path, ["report"]):
         pass
-    assert not [p for p in tmp_path.iterdir() if p.name.startswith(unfinished.PREFIX)]
+    assert not [
+        p for p in tmp_path.iterdir() if p.name.startswith(unfinished.UNFINISHED_PREFIX)
+    ]

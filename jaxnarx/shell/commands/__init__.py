@@ -17,8 +17,8 @@ from jaxnarx.shell.commands.records import Describe as Describe
 from jaxnarx.shell.commands.records import Prepare as Prepare
 from jaxnarx.shell.commands.records import SimulateEngine as SimulateEngine
 from jaxnarx.shell.commands.search import Automatic as Automatic
+from jaxnarx.shell.commands.search import Choose as Choose
 from jaxnarx.shell.commands.search import Leaderboard as Leaderboard
-from jaxnarx.shell.commands.search import Take as Take
 from jaxnarx.shell.commands.sweep import Sweep as Sweep
 from jaxnarx.shell.commands.use import Export as Export
 from jaxnarx.shell.commands.use import ImportDcm as ImportDcm
@@ -33,24 +33,24 @@ def _kebab(name: str) -> str:
 
 
 Command = (
-    Demo
-    | Identify
-    | Leaderboard
-    | Take
-    | Simulate
-    | Invert
-    | Report
-    | Describe
+    Describe
     | Check
-    | Export
-    | ImportDcm
-    | Plan
     | Prepare
     | SimulateEngine
+    | Demo
+    | Identify
+    | Leaderboard
+    | Choose
+    | Invert
+    | Report
+    | Plan
+    | Simulate
+    | Export
+    | ImportDcm
     | Sweep
 )
-_RECORDS = (Identify, Invert, Report, Prepare)
-_ELSEWHERE = "All keys of a description of records: `jaxnarx check --help`."
+_DESCRIPTION_COMMANDS = (Identify, Invert, Report, Prepare)
+_DESCRIPTION_POINTER = "All keys of a description of records: `jaxnarx check --help`."
 
 
 def help_of(command: type) -> str:
@@ -58,7 +58,12 @@ def help_of(command: type) -> str:
     text = inspect.getdoc(command) or ""
     if command is Check:
         return f"{text}\n\n{DESCRIPTION}"
-    return f"{text}\n\n{_ELSEWHERE}" if command in _RECORDS else text
+    return (
+        f"{text}\n\n{_DESCRIPTION_POINTER}"
+        if command in _DESCRIPTION_COMMANDS
+        else text
+    )
 
 
 COMMANDS: dict[str, type] = {_kebab(c.__name__): c for c in get_args(Command)}
+"""By task, as `jaxnarx --help` lists them."""

@@ -29,13 +29,13 @@ from jaxnarx.settings import (
 from jaxnarx.shell.commands import Identify, Invert
 from jaxnarx.shell.commands.search import Automatic
 from jaxnarx.shell.commands.search_flags import (
-    automatic,
+    make_search,
     refuse_search,
     search_options,
     words_of_search,
 )
 
-FLAGS = {
+SETTING_PATHS = {
     "output": "pool.outputs",
     "input_lags": "pool.input_lags",
     "output_lags": "pool.output_lags",
@@ -62,12 +62,14 @@ FLAGS = {
     "starts": "refine.starts",
 }
 """Options with a name of their own, and the settings they are."""
-OUTPUT = FLAGS["output"]
+ARGUMENT_OPTIONS = {"over": "map", "beside": "compare"}
+"""Arguments of verbs that errors name, and the options they are."""
+OUTPUT_PATH = SETTING_PATHS["output"]
 """The one setting of a method that a search has as well."""
-OPTIONS: dict[type, dict[str, str]] = {
-    Identify: FLAGS,
+COMMAND_OPTIONS: dict[type, dict[str, str]] = {
+    Identify: SETTING_PATHS,
     Invert: {
-        name: FLAGS[name]
+        name: SETTING_PATHS[name]
         for name in (
             *("input_lags", "output_lags", "degree", "terms"),
             *("models", "schedule", "partition"),
@@ -75,9 +77,9 @@ OPTIONS: dict[type, dict[str, str]] = {
     }
     | {"direct_steps": "refine.max_steps"},
 }
-DIVIDED = {Identify: "lolimot", Invert: "axis-tree"}
+DEFAULT_PARTITION = {Identify: "lolimot", Invert: "axis-tree"}
 """How the operating space is divided where only the number of models is told."""
-WORDS = {
+METAVARS = {
     "output": "NAME [NAME ...]",
     "schedule": "NAME [NAME ...]",
     "log": "NAME [NAME ...]",
@@ -86,7 +88,7 @@ WORDS = {
     "output_lags": "[LAG ...]",
     "horizons": "INT [INT ...]",
 }
-TEXTS = {
+OPTION_HELP = {
     "log": "Outputs whose error is refined on a logarithmic scale, such as HC or "
     "particle number; they must be positive.",
     "local_terms": "Every region keeps this many of the chosen terms, chosen anew by "
@@ -98,9 +100,9 @@ TEXTS = {
 """What an option says that its setting does not."""
 
 
-def with_options(command: type) -> type:
+def add_options(command: type) -> type:
     """The command's class for the parser: options in place of its `method`."""
-    if command not in OPTIONS:
+    if command not in COMMAND_OPTIONS:
         return command
     texts = field_texts(command)
     hints = get_type_hints(command, include_extras=True)
@@ -116,43 +118,45 @@ def with_options(command: type) -> type:
             )
             continue
         base = _base(command)
-        for name, path in OPTIONS[command].items():
+        for name, path in COMMAND_OPTIONS[command].items():
             made.append((name, _option(command, name, path, base), None))
             if name == "output":
                 made += search_options()
-        made.append(("set", _annotate(tuple[str, ...], SET, _SET), ()))
-        made.append(("settings", _annotate(str | None, SETTINGS, _FILE), None))
+        made.append(("set", _annotate(tuple[str, ...], SET_HELP, _SET_ARGUMENT), ()))
+        made.append(
+            ("settings", _annotate(str | None, SETTINGS_HELP, _SETTINGS_ARGUMENT), None)
+        )
     return dataclasses.make_dataclass(command.__name__, made, frozen=True)
 
 
-SET = """Any other setting of `jaxnarx.Identification` by its path, such as
+SET_HELP = """Any other setting of `jaxnarx.Identification` by its path, such as
 refine.tolerance=1e-5."""
-SETTINGS = """TOML file of settings in sections [pool], [select], [grow] and [refine],
-which the other options change."""
-_SET = arg(metavar="PATH=VALUE [...]", help_behavior_hint="")
-_FILE = arg(metavar="FILE", help_behavior_hint="")
+SETTINGS_HELP = """TOML file of settings in sections [pool], [select], [grow] and
+[refine], which the other options change."""
+_SET_ARGUMENT = arg(metavar="PATH=VALUE [...]", help_behavior_hint="")
+_SETTINGS_ARGUMENT = arg(metavar="FILE", help_behavior_hint="")
 
 
 def settle_command(command: type, parsed: Any) -> Any:
     """The command with its `method`, from what was parsed."""
-    if command not in OPTIONS:
+    if command not in COMMAND_OPTIONS:
         return parsed
     own = {f.name: f for f in dataclasses.fields(command)}
     method = _base(command)
     if parsed.settings is not None:
-        method = _of_file(Path(parsed.settings))
+        method = _read_settings(Path(parsed.settings))
     changes = {
         path: value
-        for name, path in OPTIONS[command].items()
+        for name, path in COMMAND_OPTIONS[command].items()
         if (value := getattr(parsed, name)) is not None
     }
     changes |= dict(_parse_assignment(text) for text in parsed.set)
     kept = {name: getattr(parsed, name) for name in own if name != "method"}
     if command is Identify:
         told = ["settings"] if parsed.settings is not None else []
-        told += [_typed(command, path) for path in changes if path != OUTPUT]
+        told += [_option_at(command, path) for path in changes if path != OUTPUT_PATH]
         if not told:
-            return command(**kept, method=automatic(parsed))
+            return command(**kept, method=make_search(parsed))
         refuse_search(parsed, told[0])
     return command(**kept, method=_change_method(command, method, changes))
 
@@ -167,7 +171,10 @@ def _change_method(
     command: type, method: Identification, changes: dict[str, Any]
 ) -> Identification:
     """The method under the options, checked as far as can be without data."""
-    steps = OPTIONS[command].get("steps") or OPTIONS[command]["direct_steps"]
+    steps = (
+        COMMAND_OPTIONS[command].get("steps")
+        or COMMAND_OPTIONS[command]["direct_steps"]
+    )
     if changes.get(steps) == 0:
         changes = {k: v for k, v in changes.items() if not k.startswith("refine")}
         changes["refine"] = "none"
@@ -178,7 +185,7 @@ def _change_method(
         if changes.get("grow.max_models") == 1 and len(inside) == 1:
             del changes["grow.max_models"]
         elif inside:
-            changes["grow"] = DIVIDED[command]
+            changes["grow"] = DEFAULT_PARTITION[command]
     models = changes.get("grow.max_models", 1)
     if models < 1:
         raise SpecError(
@@ -187,7 +194,7 @@ def _change_method(
     divides = changes.get("grow", "global") != "global"
     scheduled = getattr(method.grow, "scheduling", ())
     if divides and not changes.get("grow.scheduling", scheduled):
-        told = [f"--{_typed(command, path)}" for path in (*inside, "grow")]
+        told = [f"--{_option_at(command, path)}" for path in (*inside, "grow")]
         raise SpecError(
             f"{told[0]} needs --schedule, the variables that divide the operating "
             "space, such as --schedule 'speed[t]'"
@@ -207,22 +214,23 @@ def _require_place(
     chosen = [k for n, k, _ in METHOD_KINDS if n == kind and k in known]
     if name and chosen and name.partition(".")[0] not in field_hints(chosen[0]):
         raise SpecError(
-            f"--{_typed(command, path)} does not go with --{_typed(command, section)} "
-            f"{kind}",
+            f"--{_option_at(command, path)} does not go with "
+            f"--{_option_at(command, section)} {kind}",
             field=name,
         )
 
 
 def flag_of(field: str) -> str:
-    """A setting, by its path or its last name, as it is typed."""
-    for name, path in FLAGS.items():
+    """A setting, by its path or its last name, or an argument, as it is typed."""
+    for name, path in SETTING_PATHS.items():
         if field in (path, path.rpartition(".")[2]):
             return "--" + name.replace("_", "-")
-    return f"--set {field}" if "." in field else "--" + field.replace("_", "-")
+    name = ARGUMENT_OPTIONS.get(field, field).replace("_", "-")
+    return f"--set {field}" if "." in field else f"--{name}"
 
 
-def _typed(command: type, path: str) -> str:
-    for name, own in OPTIONS[command].items():
+def _option_at(command: type, path: str) -> str:
+    for name, own in COMMAND_OPTIONS[command].items():
         if own == path:
             return name.replace("_", "-")
     return f"set {path}"
@@ -247,35 +255,35 @@ def words_of(command: Identify) -> list[str]:
 
 def _words_of_method(method: Identification) -> list[str]:
     """The options of a method that differ from defaults."""
-    words, usual = [], Identification()
-    kinds = {s: to_dict(getattr(method, s)).get(KIND_KEY) for s in ("select", "grow")}
+    tree, values = to_dict(method), dict[str, Any]()
+    kinds = {s: tree[s][KIND_KEY] for s in ("select", "grow", "refine") if tree[s]}
     if kinds["grow"] != "global":
-        kinds["grow.scheduling"] = value_at(method, "grow.scheduling")
-    if method.refine is None:
-        words += ["--steps", "0"]
-    base = replace_at(usual, kinds)
+        values["grow.scheduling"] = value_at(method, "grow.scheduling")
+    base = replace_at(Identification(), kinds | values)
     if kinds["select"] != "forward":
-        words += ["--select", str(kinds["select"])]
-    if kinds["grow"] not in ("global", DIVIDED[Identify]):
-        words += ["--partition", str(kinds["grow"])]
-    if kinds["grow"] != "global":
-        words += ["--schedule", *map(str, getattr(method.grow, "scheduling", ()))]
-    named = {path: name for name, path in FLAGS.items()}
-    others = []
-    for path, value in flatten_table(to_dict(method)).items():
-        if path.split(".")[-1] == KIND_KEY or path == "grow.scheduling":
-            continue
-        if value == value_at(base, path) or path == "refine":
-            continue
+        values["select"] = kinds["select"]
+    if kinds["grow"] not in ("global", DEFAULT_PARTITION[Identify]):
+        values["grow"] = kinds["grow"]
+    if method.refine is None:
+        values["refine.max_steps"] = 0
+    elif kinds["refine"] != "simulation":
+        values["refine"] = kinds["refine"]
+    for path in flatten_table(tree):
         path = "refine.box_cox" if path.startswith("refine.box_cox.") else path
-        listed = value_at(method, path)
-        if path == "refine.box_cox" and isinstance(listed, Mapping):
-            listed = tuple(listed)
-        if path not in named:
-            others.append(f"{path}={_toml(listed)}")
-        elif "--" + named[path].replace("_", "-") not in words:
-            listed = listed if isinstance(listed, tuple) else (listed,)
-            words += ["--" + named[path].replace("_", "-"), *map(_text, listed)]
+        value = value_at(method, path)
+        kind = path == "refine" or path.endswith(f".{KIND_KEY}")
+        if not kind and value != value_at(base, path):
+            values[path] = tuple(value) if isinstance(value, Mapping) else value
+    options = {
+        path: "--" + name.replace("_", "-") for name, path in SETTING_PATHS.items()
+    }
+    words, others = [], []
+    for path, value in values.items():
+        if path in options:
+            several = value if isinstance(value, tuple) else (value,)
+            words += [options[path], *map(_text, several)]
+        else:
+            others.append(f"{path}={_toml(value)}")
     return words + (["--set", *others] if others else [])
 
 
@@ -304,7 +312,7 @@ def _parse_assignment(text: str) -> tuple[str, Any]:
         return path, value
 
 
-def _of_file(path: Path) -> Identification:
+def _read_settings(path: Path) -> Identification:
     """The settings of a file."""
     from jaxnarx.data import load_toml
 
@@ -318,22 +326,22 @@ def _option(command: type, name: str, path: str, base: Identification) -> Any:
     """The annotated type of one option, with its help."""
     owner, hint = hint_at(Identification, path)
     last = path.rpartition(".")[2]
-    words = TEXTS.get(name) or field_texts(owner)[last].partition(" In Python")[0]
+    words = OPTION_HELP.get(name) or field_texts(owner)[last].partition(" In Python")[0]
     conf = arg(
-        metavar=WORDS.get(name),
+        metavar=METAVARS.get(name),
         help=" ".join(words.split()),
-        help_behavior_hint=_usual(command, name, path, base),
+        help_behavior_hint=_default_text(command, name, path, base),
     )
     return Annotated[_type(name, hint) | None, conf]
 
 
-def _usual(command: type, name: str, path: str, base: Identification) -> str:
+def _default_text(command: type, name: str, path: str, base: Identification) -> str:
     """The help's words on the default."""
     owner, _ = hint_at(Identification, path)
     if name == "models":
         return f"(default: 1, with --schedule {owner.max_models})"
     if name == "partition":
-        return f"(default: global, with --schedule {DIVIDED[command]})"
+        return f"(default: global, with --schedule {DEFAULT_PARTITION[command]})"
     if name in ("log", "local_terms"):
         return ""
     usual = plain_value(value_at(base, path))

@@ -56,7 +56,7 @@ class Identify:
     why) and the command that would help.
 
     Ctrl-C ends the search with the best so far, and the same command goes on where it
-    stopped; `jaxnarx leaderboard` shows all candidates, `jaxnarx take` trains another
+    stopped; `jaxnarx leaderboard` shows all candidates, `jaxnarx choose` trains another
     one. Settings of a method (all options from --input-lags to --hold-out) make this
     one method, without a search.
 

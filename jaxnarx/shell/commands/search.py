@@ -7,7 +7,7 @@ from tyro.conf import Positional, arg
 
 from jaxnarx.shell.commands.annotations import Flag, Folder, Percent, Run, optional
 
-_NUMBERS = arg(metavar="NUMBER [NUMBER ...]", help_behavior_hint="(required)")
+_NUMBERS_ARGUMENT = arg(metavar="NUMBER [NUMBER ...]", help_behavior_hint="(required)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,19 +49,19 @@ class Leaderboard:
 
 
 @dataclasses.dataclass(frozen=True)
-class Take:
-    """Take another candidate of a search: its model, trained on all records.
+class Choose:
+    """Choose another candidate of a search: its model, trained on all records.
 
     NUMBER is that of the leaderboard; several, one for each output, become one model.
     FOLDER receives the model and a report on the records of the search.
 
     Example:
-        jaxnarx take runs/engine-good 7
+        jaxnarx choose runs/engine-good 7
     """
 
     run: Positional[Run]
     """Folder of the search."""
-    numbers: Positional[Annotated[tuple[int, ...], _NUMBERS]]
+    numbers: Positional[Annotated[tuple[int, ...], _NUMBERS_ARGUMENT]]
     """Numbers of candidates."""
     description: Annotated[str | None, optional("DESCRIPTION")] = None
     """TOML description of the records; default: the one that RUN was made from."""

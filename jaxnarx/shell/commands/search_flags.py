@@ -1,6 +1,5 @@
 """Options of a search, as they are typed. No jax here."""
 
-import re
 from typing import Annotated, Any
 
 from tyro.conf import arg
@@ -10,10 +9,9 @@ from jaxnarx.docstrings import field_texts
 from jaxnarx.errors import SpecError
 from jaxnarx.settings import PRESETS
 from jaxnarx.shell.commands.search import Automatic
+from jaxnarx.shell.parse_ranges import parse_seconds
 
-NAMES = ("preset", "budget", "candidates", "states")
-UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
-"""Seconds of the units of a budget; without one it is in seconds."""
+SEARCH_OPTIONS = ("preset", "budget", "candidates", "states")
 
 
 def search_options() -> list[tuple[str, Any, None]]:
@@ -38,13 +36,13 @@ def search_options() -> list[tuple[str, Any, None]]:
     ]
 
 
-def automatic(parsed: Any) -> Automatic:
+def make_search(parsed: Any) -> Automatic:
     """The search that was asked for; SpecError where there is none such."""
     if parsed.hold_out is not None:
         raise SpecError(
             "--hold-out belongs to one method; a search leaves groups of records out"
         )
-    budget = None if parsed.budget is None else seconds(parsed.budget)
+    budget = None if parsed.budget is None else parse_seconds(parsed.budget, "--budget")
     if parsed.candidates is not None and parsed.candidates < 1:
         raise SpecError(f"--candidates must be at least 1, got {parsed.candidates}")
     if parsed.states is not None and parsed.states < 0:
@@ -60,7 +58,7 @@ def automatic(parsed: Any) -> Automatic:
 
 def refuse_search(parsed: Any, option: str) -> None:
     """SpecError where an option of a search comes with one of a method."""
-    for name in NAMES:
+    for name in SEARCH_OPTIONS:
         if getattr(parsed, name, None) is not None:
             raise SpecError(
                 f"--{name} belongs to a search, and --{option} makes this one method: "
@@ -68,26 +66,11 @@ def refuse_search(parsed: Any, option: str) -> None:
             )
 
 
-def seconds(text: str) -> float:
-    """A time such as `90`, `600s`, `10m`, `1.5h` in seconds."""
-    found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)", text.strip().lower())
-    if found is None or found[2] not in UNITS or not float(found[1]):
-        raise SpecError(
-            f"--budget takes a time such as 600s, 10m or 1h, got {text!r}",
-            field="budget",
-        )
-    return float(found[1]) * UNITS[found[2]]
-
-
 def words_of_search(method: Automatic) -> list[str]:
     """The options as they are typed, those that differ from defaults."""
     words = ["--output", *method.outputs] if method.outputs else []
-    if method.preset != Automatic.preset:
-        words += ["--preset", method.preset]
-    if method.budget is not None:
-        words += ["--budget", f"{method.budget:g}s"]
-    if method.candidates is not None:
-        words += ["--candidates", str(method.candidates)]
-    if method.states is not None:
-        words += ["--states", str(method.states)]
+    for name in SEARCH_OPTIONS:
+        value = getattr(method, name)
+        if value != getattr(Automatic, name):
+            words += [f"--{name}", f"{value:g}s" if name == "budget" else str(value)]
     return words

@@ -88,9 +88,9 @@ class Report:
     """Folder of the data; default JAXNARX_DATA, else the description's folder."""
     out: Folder = None
     """Folder for report.html and report.json; default: only print."""
-    beside: Annotated[tuple[str, ...], optional("MODEL [MODEL ...]")] = ()
+    compare: Annotated[tuple[str, ...], optional("MODEL [MODEL ...]")] = ()
     """Other models to compare with on the same records, in free run."""
-    over: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
+    map: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
     """Two channels over which the error is mapped, lagged ones as 'speed[t-1]';
     default: the two that schedule most."""
     within: Annotated[float | None, optional("TOLERANCE")] = None
@@ -150,7 +150,7 @@ class Export:
         arg(),
     ] = ("c",)
     """What is written."""
-    over: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
+    map: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
     """The two inputs of the maps of dcm; default: of each output the inputs that
     schedule it, then those that move it most at rest."""
     name: str = "model"

@@ -13,22 +13,29 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocato
 
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.shell.figures.report import envelope
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, plain, use_style
+from jaxnarx.shell.figures.style import (
+    BLUE,
+    GREY,
+    INK_COLOUR,
+    RED,
+    plain_text,
+    use_style,
+)
 
-ROW, MAP = 0.85, 1.45
+ROW_INCHES, MAP_INCHES = 0.85, 1.45
 """Height in inches of a trace, and of a map of two inputs."""
 
-DOTS = 600
-BORDERS = 40
+SCATTER_POINTS = 600
+MAX_RECORD_BORDERS = 40
 """More records than this are not told apart by lines."""
 
-SHARE = 0.95
+BANDWIDTH_POWER_SHARE = 0.95
 """Of the power, below the bandwidth that is marked."""
 
-DECADES = 8
+SPECTRUM_DECADES = 8
 """Power below this many decades under the largest is not drawn."""
 
-_SHADES = LinearSegmentedColormap.from_list("visits", ["#e3eef6", BLUE])
+_VISIT_COLOURS = LinearSegmentedColormap.from_list("visits", ["#e3eef6", BLUE])
 
 
 def excitation(
@@ -53,7 +60,7 @@ def excitation(
     inputs = data.channels.inputs
     shown = data.channels.all if outputs else inputs
     maps = max(len(inputs) - 1, 1)
-    heights = (0.35 + ROW * len(shown), 0.75 + max(MAP * maps, 1.9))
+    heights = (0.35 + ROW_INCHES * len(shown), 0.75 + max(MAP_INCHES * maps, 1.9))
     with use_style():
         size = (max(9.0, 1.6 * maps), sum(heights))
         figure = Figure(figsize=size, layout="constrained")
@@ -73,20 +80,20 @@ def _traces(part: SubFigure, data: Dataset, shown: Sequence[Channel]) -> None:
     rows = part.subplots(
         len(shown), 2, squeeze=False, sharex="col", width_ratios=(3, 1.15)
     )
-    time, values, borders = _one_after_the_other(data)
+    time, values, borders = _join_records(data)
     held = [np.concatenate([r.u, r.y], axis=1)[:, : len(shown)] for r in data]
     power = spectrum(held, data.sample_time)
-    widths = bandwidth(power, SHARE)
+    widths = bandwidth(power, BANDWIDTH_POWER_SHARE)
     for i, (channel, (left, right)) in enumerate(zip(shown, rows, strict=True)):
-        color = BLUE if i < len(data.channels.inputs) else INK
+        color = BLUE if i < len(data.channels.inputs) else INK_COLOUR
         left.plot(*envelope(time, values[:, i]), color=color, lw=0.9)
-        left.set_title(plain(channel.label, 60), pad=2.5, fontsize=8.5)
+        left.set_title(plain_text(channel.label, 60), pad=2.5, fontsize=8.5)
         left.yaxis.set_major_locator(MaxNLocator(3))
         for border in borders:
             left.axvline(border, color=GREY, lw=0.6, ls=(0, (2, 2)))
         _density(right, power.frequency[1:], power.power[1:, i], color)
         _mark(right, power.frequency[1:], float(widths[i]))
-        title = f"power density [{_squared(channel.unit)}]"
+        title = f"power density [{_power_unit(channel.unit)}]"
         right.set_title(title, pad=2.5, fontsize=8.5)
     rows[0, 0].set_xlim(time[0], max(time[-1], data.sample_time))
     rows[-1, 0].set_xlabel("time [s]")
@@ -99,9 +106,9 @@ def _density(axes: Axes, frequency: np.ndarray, power: np.ndarray, color: str) -
         axes.set_yticks([])
         axes.text(0.5, 0.45, "constant", transform=axes.transAxes, ha="center")
         return
-    axes.plot(*_by_octave(frequency, power), color=color, lw=0.9)
+    axes.plot(*_average_octaves(frequency, power), color=color, lw=0.9)
     axes.set_yscale("log")
-    floor = max(power[power > 0].min(), peak * 10.0**-DECADES)
+    floor = max(power[power > 0].min(), peak * 10.0**-SPECTRUM_DECADES)
     # A quarter of the height above the peak is left for the text.
     axes.set_ylim(floor / 2, 2 * peak * (peak / floor) ** 0.33)
     axes.yaxis.set_major_locator(LogLocator(numticks=3))
@@ -122,7 +129,12 @@ def _mark(axes: Axes, frequency: np.ndarray, width: float) -> None:
         "ha": "left" if left else "right",
         "va": "top" if left else "bottom",
     }
-    axes.annotate(f"{SHARE:.0%} below {width:.3g} Hz", fontsize=7.5, color=RED, **place)
+    axes.annotate(
+        f"{BANDWIDTH_POWER_SHARE:.0%} below {width:.3g} Hz",
+        fontsize=7.5,
+        color=RED,
+        **place,
+    )
 
 
 def _frequencies(axes: Axes, frequency: np.ndarray) -> None:
@@ -144,7 +156,7 @@ def _maps(part: SubFigure, data: Dataset, found) -> None:
     n = len(found.low)
     grid = part.subplots(n - 1, n - 1, squeeze=False)
     points = _thin(visited_rows(data))
-    names = [_two_lines(c) for c in data.channels.inputs]
+    names = [_channel_label(c) for c in data.channels.inputs]
     counts = _counts(data, found)
     visited_rows = np.concatenate([c[c > 0] for c in counts.values()])
     most = int(visited_rows.max(initial=1))
@@ -156,10 +168,10 @@ def _maps(part: SubFigure, data: Dataset, found) -> None:
             axes.set_visible(False)
             continue
         cell = np.ma.masked_equal(counts[i, j], 0)
-        shades = {"cmap": _SHADES, "norm": norm, "rasterized": True}
+        shades = {"cmap": _VISIT_COLOURS, "norm": norm, "rasterized": True}
         axes.pcolormesh(edges[:, j], edges[:, i], cell, **shades)
         dots = {"ls": "", "marker": ".", "ms": 2.2, "mew": 0, "rasterized": True}
-        axes.plot(points[:, j], points[:, i], color=INK, alpha=0.6, **dots)
+        axes.plot(points[:, j], points[:, i], color=INK_COLOUR, alpha=0.6, **dots)
         axes.set(xlim=edges[[0, -1], j], ylim=edges[[0, -1], i])
         axes.set_title(f"{found.coverage.pairs[i, j]:.0%}", pad=2.5, fontsize=8.5)
         axes.grid(visible=False)
@@ -170,12 +182,12 @@ def _maps(part: SubFigure, data: Dataset, found) -> None:
         axes.set_xlabel(names[j] if i == n - 1 else "", fontsize=8)
     part.suptitle(
         f"Share of {found.coverage.bins} × {found.coverage.bins} cells visited. "
-        + _whole(found),
+        + _coverage_text(found),
         x=0.01,
         ha="left",
         fontsize=9,
     )
-    bar = ScalarMappable(norm, _SHADES)
+    bar = ScalarMappable(norm, _VISIT_COLOURS)
     drawn = part.colorbar(bar, ax=grid, shrink=0.7, aspect=30, pad=0.01)
     drawn.set_label("samples per cell", fontsize=8)
     drawn.ax.tick_params(labelsize=7.5)
@@ -189,11 +201,11 @@ def _histogram(part: SubFigure, data: Dataset, found) -> None:
     counts = np.histogram(visited_rows(data)[:, 0], edges)[0]
     axes.stairs(counts, edges, fill=True, color=BLUE, alpha=0.75)
     share = f"{found.coverage.pairs[0, 0]:.0%} of {found.coverage.bins} parts"
-    label = plain(data.channels.inputs[0].label)
+    label = plain_text(data.channels.inputs[0].label)
     axes.set(title=f"visits {share} of the range", xlabel=label, ylabel="samples")
 
 
-def _whole(found) -> str:
+def _coverage_text(found) -> str:
     cover = found.coverage
     power = "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(digit)] for digit in str(len(found.low)))
     return f"Whole space: {cover.whole:.0%} of {cover.whole_bins}{power} cells"
@@ -218,10 +230,12 @@ def _counts(data: Dataset, found) -> dict[tuple[int, int], np.ndarray]:
 def _thin(
     points: Float[np.ndarray, "samples inputs"],
 ) -> Float[np.ndarray, "dots inputs"]:
-    return points[np.unique(np.linspace(0, len(points) - 1, DOTS).astype(int))]
+    return points[
+        np.unique(np.linspace(0, len(points) - 1, SCATTER_POINTS).astype(int))
+    ]
 
 
-def _one_after_the_other(data: Dataset) -> tuple[np.ndarray, np.ndarray, list[float]]:
+def _join_records(data: Dataset) -> tuple[np.ndarray, np.ndarray, list[float]]:
     """Time [s], signals with NaN for gaps, and where records meet."""
     gap = np.full((1, len(data.channels.names)), np.nan)
     pieces = []
@@ -230,11 +244,11 @@ def _one_after_the_other(data: Dataset) -> tuple[np.ndarray, np.ndarray, list[fl
         pieces += [np.where(record.valid, signals, np.nan), gap]
     values = np.concatenate(pieces[:-1])
     starts = np.cumsum([len(r) + 1 for r in data])[:-1] * data.sample_time
-    borders = starts.tolist() if len(data) <= BORDERS else []
+    borders = starts.tolist() if len(data) <= MAX_RECORD_BORDERS else []
     return np.arange(len(values)) * data.sample_time, values, borders
 
 
-def _by_octave(
+def _average_octaves(
     frequency: Float[np.ndarray, " frequencies"],
     power: Float[np.ndarray, " frequencies"],
     parts: int = 24,
@@ -247,10 +261,10 @@ def _by_octave(
     return mean[0], mean[1]
 
 
-def _squared(unit: str) -> str:
-    return f"({plain(unit, 20)})²/Hz" if unit else "1/Hz"
+def _power_unit(unit: str) -> str:
+    return f"({plain_text(unit, 20)})²/Hz" if unit else "1/Hz"
 
 
-def _two_lines(channel: Channel) -> str:
-    name = plain(channel.name, 22)
-    return f"{name}\n[{plain(channel.unit, 22)}]" if channel.unit else name
+def _channel_label(channel: Channel) -> str:
+    name = plain_text(channel.name, 22)
+    return f"{name}\n[{plain_text(channel.unit, 22)}]" if channel.unit else name

@@ -11,12 +11,12 @@ from xml.etree import ElementTree
 
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.figures.style import BLUE, GRID, INK, svg
+from jaxnarx.shell.figures.style import BLUE, GRID_COLOUR, INK_COLOUR, svg
 
 Element = ElementTree.Element
-_LINK = re.compile(r"url\(#([^)]*)\)")
-_DIGITS = re.compile(r"(\.\d\d)\d+")
-_MEASURES = "d", "points", "x", "y", "width", "height", "transform"
+_URL_LINK = re.compile(r"url\(#([^)]*)\)")
+_LONG_DECIMALS = re.compile(r"(\.\d\d)\d+")
+_NUMERIC_ATTRIBUTES = "d", "points", "x", "y", "width", "height", "transform"
 
 
 def inline_svg(figure: Figure, prefix: str, title: str) -> str:
@@ -29,12 +29,12 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> str:
     """
     prefix = re.sub(r"[^\w-]", "_", prefix)
     root = ElementTree.fromstring(svg(figure))
-    _bare(root)
+    _strip_metadata(root)
     _name_links(root, prefix)
     for element in root.iter():
         for name, value in element.attrib.items():
-            if name in _MEASURES:
-                element.set(name, _short(name, value))
+            if name in _NUMERIC_ATTRIBUTES:
+                element.set(name, _shorten_value(name, value))
     _share_styles(root, prefix)
     _unwrap_groups(root)
     for name in ("width", "height", "version"):
@@ -43,7 +43,7 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _bare(root: Element) -> None:
+def _strip_metadata(root: Element) -> None:
     """Without metadata, namespaces and white space between elements."""
     for element in list(root.iter()):
         for child in list(element):
@@ -63,15 +63,17 @@ def _name_links(root: Element, prefix: str) -> None:
     """Short names for what is linked to; other identifiers go."""
     names: dict[str, str] = {}
 
-    def named(old: str) -> str:
+    def rename(old: str) -> str:
         return names.setdefault(old, f"{prefix}{len(names)}")
 
     for element in root.iter():
         for name, value in element.attrib.items():
             if name == "href" and value.startswith("#"):
-                element.set(name, f"#{named(value[1:])}")
+                element.set(name, f"#{rename(value[1:])}")
             elif "url(#" in value:
-                element.set(name, _LINK.sub(lambda m: f"url(#{named(m[1])})", value))
+                element.set(
+                    name, _URL_LINK.sub(lambda m: f"url(#{rename(m[1])})", value)
+                )
     for element in root.iter():
         old = element.attrib.pop("id", None)
         if old in names:
@@ -85,7 +87,9 @@ def _share_styles(root: Element, prefix: str) -> None:
         if "clip-path" in element.attrib:
             parts.append(f"clip-path: {element.attrib.pop('clip-path')}")
         if style := "; ".join(filter(None, parts)):
-            style = style.replace(INK, "currentColor").replace(GRID, "var(--grid)")
+            style = style.replace(INK_COLOUR, "currentColor").replace(
+                GRID_COLOUR, "var(--grid)"
+            )
             element.set("style", style.replace(BLUE, "var(--blue)"))
     counts = Counter(e.get("style") for e in root.iter() if e.get("style"))
     shared = [style for style, number in counts.items() if number > 1]
@@ -102,10 +106,10 @@ def _share_styles(root: Element, prefix: str) -> None:
 
 def _unwrap_groups(element: Element) -> None:
     """Groups without attributes give way to what they hold."""
-    element[:] = list(_unwrapped(element))
+    element[:] = list(_iterate_without_groups(element))
 
 
-def _unwrapped(element: Element) -> Iterator[Element]:
+def _iterate_without_groups(element: Element) -> Iterator[Element]:
     for child in element:
         _unwrap_groups(child)
         if child.tag == "g" and not child.attrib and not (child.tail or "").strip():
@@ -114,9 +118,9 @@ def _unwrapped(element: Element) -> Iterator[Element]:
             yield child
 
 
-def _short(name: str, value: str) -> str:
+def _shorten_value(name: str, value: str) -> str:
     """Two decimals; of a path no space that it can do without."""
-    value = _DIGITS.sub(r"\1", value)
+    value = _LONG_DECIMALS.sub(r"\1", value)
     if name != "d":
         return value.replace("\n", " ")
     value = re.sub(r"\s*([A-Za-z])\s*", r"\1", " ".join(value.split()))

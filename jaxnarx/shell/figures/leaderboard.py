@@ -11,21 +11,21 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from jaxnarx.shell.figures.style import (
     BLUE,
     GREY,
-    INK,
+    INK_COLOUR,
     RED,
     canvas,
-    plain,
+    plain_text,
     tone,
     use_style,
 )
 
-MARKERS = "osD^vP*X"
-BY = {
+FAMILY_MARKERS = "osD^vP*X"
+COST_LABELS = {
     "operations": "operations of a sample (multiplications, divisions, exponentials)",
     "parameters": "parameters, all numbers that are stored",
 }
 """What the error stands over."""
-TALL = 4.0
+LOG_AXIS_RATIO = 4.0
 """Largest over smallest error from which the axis of errors is logarithmic."""
 
 
@@ -44,7 +44,7 @@ def error_over_operations(
     fine = [r for r in rows if r["status"] == "ok" and r["free_run"] is not None]
     with use_style():
         figure, (axes,) = canvas(9.0, 3.9)
-        families = list(dict.fromkeys(r["family"] for r in _by_number(rows)))
+        families = list(dict.fromkeys(r["family"] for r in _sort_by_number(rows)))
         for n, family in enumerate(families):
             own = [r for r in fine if r["family"] == family]
             _points(axes, own, family, n)
@@ -53,16 +53,16 @@ def error_over_operations(
         _band(axes, fine)
         _ring(axes, fine)
         _scales(axes, fine)
-        _lost(axes, [r for r in rows if r["status"] == "diverged"])
+        _mark_diverged(axes, [r for r in rows if r["status"] == "diverged"])
         axes.set(
-            xlabel=BY[by],
+            xlabel=COST_LABELS[by],
             ylabel="free run on records left out, NRMSE",
         )
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), borderaxespad=0)
     return figure
 
 
-def _by_number(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def _sort_by_number(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     return sorted(rows, key=lambda r: r["number"])
 
 
@@ -72,12 +72,16 @@ def _place(row: Mapping[str, Any]) -> float:
 
 
 def _points(axes: Axes, rows: Sequence[Mapping[str, Any]], family: str, n: int):
-    style = {"color": tone(n), "marker": MARKERS[n % len(MARKERS)], "ms": 4.5}
+    style = {
+        "color": tone(n),
+        "marker": FAMILY_MARKERS[n % len(FAMILY_MARKERS)],
+        "ms": 4.5,
+    }
     axes.errorbar(
         [_place(r) for r in rows],
         [r["free_run"] for r in rows],
         yerr=[r["standard_error"] or 0.0 for r in rows],
-        label=plain(family, 24),
+        label=plain_text(family, 24),
         ls="",
         lw=0.8,
         alpha=0.9,
@@ -107,7 +111,7 @@ def _band(axes: Axes, rows: Sequence[Mapping[str, Any]]):
 def _ring(axes: Axes, rows: Sequence[Mapping[str, Any]]):
     for row in rows:
         if row["used"]:
-            ring = {"ms": 13, "mfc": "none", "mec": INK, "mew": 1.4, "ls": ""}
+            ring = {"ms": 13, "mfc": "none", "mec": INK_COLOUR, "mew": 1.4, "ls": ""}
             at = _place(row), row["free_run"]
             axes.plot(*at, marker="o", label=f"in use: {row['number']}", **ring)
 
@@ -116,14 +120,14 @@ def _scales(axes: Axes, rows: Sequence[Mapping[str, Any]]):
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.0f}"))
     errors = np.array([r["free_run"] for r in rows if r["free_run"] > 0])
-    if len(errors) and errors.max() > TALL * errors.min():
+    if len(errors) and errors.max() > LOG_AXIS_RATIO * errors.min():
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _lost(axes: Axes, rows: Sequence[Mapping[str, Any]]):
+def _mark_diverged(axes: Axes, rows: Sequence[Mapping[str, Any]]):
     if rows:
         up = axes.get_xaxis_transform()
         style = {"marker": "x", "ls": "", "ms": 5, "color": RED, "clip_on": False}

@@ -7,13 +7,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnarx.linear import Spectra, TransferFunction
-from jaxnarx.shell.figures.style import CYCLE, GREY, INK, canvas, plain, use_style
+from jaxnarx.shell.figures.style import (
+    COLOUR_CYCLE,
+    GREY,
+    INK_COLOUR,
+    canvas,
+    plain_text,
+    use_style,
+)
 
 Systems = Mapping[str, TransferFunction]
 """Transfer functions by the name they have in the legend."""
 
 
-CLEAR = 0.25
+MAX_RELATIVE_DEVIATION = 0.25
 """Relative standard deviation up to which a measured response is shown."""
 
 
@@ -29,11 +36,13 @@ def bode(
     with use_style():
         figure, (top, bottom) = canvas(6.4, 4.2, rows=2, sharex=True)
         if measured is not None:
-            _measured(top, bottom, measured, input, next(iter(systems.values())))
+            _draw_measured(top, bottom, measured, input, next(iter(systems.values())))
         for n, (name, system) in enumerate(systems.items()):
             curve = system.bode()
-            colour = CYCLE[n % len(CYCLE)]
-            top.plot(curve.frequency, curve.magnitude, color=colour, label=plain(name))
+            colour = COLOUR_CYCLE[n % len(COLOUR_CYCLE)]
+            top.plot(
+                curve.frequency, curve.magnitude, color=colour, label=plain_text(name)
+            )
             bottom.plot(curve.frequency, curve.phase, color=colour)
         top.set(xscale="log", yscale="log", ylabel=f"magnitude {_gain(systems)}")
         bottom.set(xlabel="frequency [Hz]", ylabel="phase [deg]")
@@ -41,14 +50,14 @@ def bode(
     return figure
 
 
-def _measured(
+def _draw_measured(
     top: Axes, bottom: Axes, found: Spectra, place: int, near: TransferFunction
 ) -> None:
     """Dots; the phase by whole turns next to that of `near`."""
     response, spread = found.response[:, place], 1.96 * found.deviation[:, place]
     size, frequency = np.abs(response), found.frequency
     # What is not shown is a gap in the band too.
-    shown = np.where(spread < 1.96 * CLEAR * size, 1.0, np.nan)
+    shown = np.where(spread < 1.96 * MAX_RELATIVE_DEVIATION * size, 1.0, np.nan)
     look = {"ls": "", "marker": "o", "ms": 2, "mew": 0, "color": GREY}
     top.plot(frequency, size * shown, label="measured", **look)
     low, high = (size - spread) * shown, (size + spread) * shown
@@ -64,7 +73,11 @@ def _gain(systems: Systems) -> str:
     first = next(iter(systems.values()))
     unit = first.input.unit if first.input is not None else first.output.unit
     parts = [u if u not in ("", "-") else "1" for u in (first.output.unit, unit)]
-    return f"[{plain(parts[0])} per {plain(parts[1])}]" if parts != ["1", "1"] else ""
+    return (
+        f"[{plain_text(parts[0])} per {plain_text(parts[1])}]"
+        if parts != ["1", "1"]
+        else ""
+    )
 
 
 def poles(systems: Systems) -> Figure:
@@ -75,12 +88,12 @@ def poles(systems: Systems) -> Figure:
     with use_style():
         figure, axes = canvas(4.2, 4.2)
         ax, angle = axes[0], np.linspace(0, 2 * np.pi, 200)
-        ax.plot(np.cos(angle), np.sin(angle), color=INK, lw=0.6)
+        ax.plot(np.cos(angle), np.sin(angle), color=INK_COLOUR, lw=0.6)
         beyond = 0
         for n, (name, system) in enumerate(systems.items()):
-            colour = CYCLE[n % len(CYCLE)]
+            colour = COLOUR_CYCLE[n % len(COLOUR_CYCLE)]
             look = {"ls": "", "color": colour, "ms": 6, "mew": 1.2}
-            ax.plot(*_plane(system.poles), marker="x", label=plain(name), **look)
+            ax.plot(*_plane(system.poles), marker="x", label=plain_text(name), **look)
             ax.plot(*_plane(system.zeros), marker="o", mfc="none", **look)
             far = np.abs(_plane(np.concatenate([system.poles, system.zeros])))
             beyond += int((far.max(axis=0) > 1.6).sum())
@@ -103,9 +116,9 @@ def step_responses(systems: Systems, *, length: int | None = None) -> Figure:
         figure, axes = canvas(6.4, 2.8)
         ax = axes[0]
         for n, (name, system) in enumerate(systems.items()):
-            colour = CYCLE[n % len(CYCLE)]
+            colour = COLOUR_CYCLE[n % len(COLOUR_CYCLE)]
             time, response = system.step_response(length)
-            ax.step(time, response, where="post", color=colour, label=plain(name))
+            ax.step(time, response, where="post", color=colour, label=plain_text(name))
             if system.stable and np.isfinite(system.dc_gain):
                 ax.axhline(system.dc_gain, color=colour, ls=":", lw=0.8)
         ax.set(xlabel="time [s]", ylabel=f"response {_gain(systems)}")

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from jaxnarx.data import Dataset
 from jaxnarx.evaluation import LocalBehaviour, local_behaviour
 from jaxnarx.models import Network
-from jaxnarx.shell.figures.style import INK, canvas, plain, tone, use_style
+from jaxnarx.shell.figures.style import INK_COLOUR, canvas, plain_text, tone, use_style
 
-FEW = 4
+PANELS_PER_ROW = 4
 """Panels in a row."""
 
 
@@ -31,25 +31,25 @@ def local_models(
     models = local_behaviour(network, data, output=output, over=over)
     units = {c.name: c.unit for c in network.channels.all}
     panels = {
-        f"gain by {name} {_per(units[models[0].output], units[name])}": [
+        f"gain by {name} {_gain_unit(units[models[0].output], units[name])}": [
             m.gain.get(name, np.zeros(len(m.place))) for m in models
         ]
         for name in dict.fromkeys(name for m in models for name in m.gain)
     }
     panels["slowest time constant [s]"] = [m.time_constant for m in models]
-    rows = -(-len(panels) // FEW)
+    rows = -(-len(panels) // PANELS_PER_ROW)
     with use_style():
-        columns = min(len(panels), FEW)
+        columns = min(len(panels), PANELS_PER_ROW)
         two = len(models[0].over) == 2
         height = (2.9 if two else 2.6) * rows
         share = {"sharex": True, "sharey": two}
         figure, axes = canvas(9.0, height, rows=rows, columns=columns, **share)
         for ax, (title, values) in zip(axes, panels.items(), strict=False):
             (_map if two else _curve)(ax, models, values)
-            ax.set_title(plain(title), fontsize=8.5)
+            ax.set_title(plain_text(title), fontsize=8.5)
         for ax in axes[len(panels) :]:
             ax.set_axis_off()
-        names = [plain(name) for name in models[0].over]
+        names = [plain_text(name) for name in models[0].over]
         for ax in axes[max(len(panels) - columns, 0) : len(panels)]:
             ax.set_xlabel(names[0])
             ax.tick_params(labelbottom=True)
@@ -61,7 +61,7 @@ def local_models(
     return figure
 
 
-def _per(output: str, signal: str) -> str:
+def _gain_unit(output: str, signal: str) -> str:
     """`[ppm per rpm]`; nothing where neither has a unit."""
     parts = [u if u not in ("", "-") else "1" for u in (output, signal)]
     return f"[{parts[0]} per {parts[1]}]" if parts != ["1", "1"] else "[-]"
@@ -103,7 +103,7 @@ def _map(axes: Axes, models: Sequence[LocalBehaviour], values) -> None:
         rasterized=True,
     )
     wild = np.isinf(value)
-    axes.plot(*place[wild].T, color=INK, marker="x", ms=4, mew=0.9, ls="")
+    axes.plot(*place[wild].T, color=INK_COLOUR, marker="x", ms=4, mew=0.9, ls="")
     axes.figure.colorbar(dots, ax=axes, location="bottom", pad=0.02, aspect=30)
 
 

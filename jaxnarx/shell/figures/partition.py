@@ -16,10 +16,18 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from scipy.ndimage import distance_transform_edt
 
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, canvas, plain, tone, use_style
+from jaxnarx.shell.figures.style import (
+    BLUE,
+    GREY,
+    INK_COLOUR,
+    canvas,
+    plain_text,
+    tone,
+    use_style,
+)
 from jaxnarx.shell.figures.tree import tree
 
-CLOUD = 1500
+MAX_DATA_POINTS = 1500
 """Data points drawn."""
 
 Side = Mapping[str, Any]
@@ -33,7 +41,7 @@ def partition(entry: Mapping[str, Any]) -> Figure:
     the range are drawn where they fall in it; at most 1500 points of the cloud are
     drawn.
     """
-    names = [plain(name) for name in entry["scheduling"]]
+    names = [plain_text(name) for name in entry["scheduling"]]
     box = np.asarray(entry["ranges"], float).reshape(len(names), 2)
     sides = _title_sides(entry)
     points = _thin(entry.get("cloud"))
@@ -62,7 +70,7 @@ def _thin(cloud: np.ndarray | None) -> np.ndarray | None:
     if cloud is None or len(cloud) == 0:
         return None
     cloud = np.asarray(cloud, float).reshape(len(cloud), -1)
-    return cloud[np.unique(np.linspace(0, len(cloud) - 1, CLOUD).astype(int))]
+    return cloud[np.unique(np.linspace(0, len(cloud) - 1, MAX_DATA_POINTS).astype(int))]
 
 
 def _curves(name: str, box: np.ndarray, sides, points) -> Figure:
@@ -74,7 +82,7 @@ def _curves(name: str, box: np.ndarray, sides, points) -> Figure:
             ax.plot(z, weight, color=tone(m))
             _name_curve(ax, m, z, weight, weight >= weights.max(axis=0))
         if points is not None:
-            rug = {"color": INK, "marker": "|", "ms": 5, "ls": "", "alpha": 0.25}
+            rug = {"color": INK_COLOUR, "marker": "|", "ms": 5, "ls": "", "alpha": 0.25}
             ax.plot(points[:300, 0], np.full(len(points[:300]), -0.06), **rug)
         ax.set(title=title, xlabel=name, ylim=(-0.12, 1.18), xlim=box)
     axes[0].set_ylabel("validity")
@@ -133,13 +141,13 @@ def _map(
             continue
         ahead = weights[m] - np.delete(weights, m, axis=0).max(axis=0)
         if not own.all():
-            axes.contour(*grid, ahead, levels=[0], colors=[INK], linewidths=0.7)
+            axes.contour(*grid, ahead, levels=[0], colors=[INK_COLOUR], linewidths=0.7)
         if not named[m]:
             inside = np.asarray(distance_transform_edt(np.pad(own, 1)))[1:-1, 1:-1]
             row, column = np.unravel_index(inside.argmax(), inside.shape)
             place = float(grid[0][column]), float(grid[1][row])
             look = {"ha": "center", "va": "center", "fontweight": "bold", "zorder": 4}
-            axes.text(*place, str(m + 1), color=INK, **look)
+            axes.text(*place, str(m + 1), color=INK_COLOUR, **look)
 
 
 def _centre(
@@ -158,7 +166,7 @@ def _centre(
     if np.any(np.array(centre) < box[:, 0]) or np.any(np.array(centre) > box[:, 1]):
         return False
     look = {"textcoords": "offset points", "fontweight": "bold", "zorder": 4}
-    axes.annotate(str(m + 1), centre, xytext=(4, 3), color=INK, **look)
+    axes.annotate(str(m + 1), centre, xytext=(4, 3), color=INK_COLOUR, **look)
     return True
 
 
@@ -179,7 +187,7 @@ def _spans(scheduling: Sequence[str], box: np.ndarray, sides) -> Figure:
                 if centre is not None:
                     ax.plot(centre, at, color=tones[s], marker="o", ms=4)
     for ax, name, limits in zip(axes, scheduling, box, strict=True):
-        ax.set(xlabel=plain(name), xlim=limits)
+        ax.set(xlabel=plain_text(name), xlim=limits)
     axes[0].set(ylabel="local model", yticks=np.arange(models) + 1)
     axes[0].set_ylim(models + 0.6, 0.4)
     if len(sides) == 2:

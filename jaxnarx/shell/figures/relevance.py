@@ -7,9 +7,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnarx.evaluation import Relevance
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, RED, canvas, plain, use_style
+from jaxnarx.shell.figures.style import (
+    BLUE,
+    GREY,
+    INK_COLOUR,
+    RED,
+    canvas,
+    plain_text,
+    use_style,
+)
 
-COLUMNS = 3
+PANELS_PER_ROW = 3
 """Panels in a row."""
 
 
@@ -20,7 +28,7 @@ def relevance(found: Relevance) -> Figure:
     bar to the edge; the open dot tells by how much withholding it moves the run.
     """
     outputs = len(found.outputs)
-    columns = min(outputs, COLUMNS)
+    columns = min(outputs, PANELS_PER_ROW)
     rows = -(-outputs // columns)
     height = 0.85 + 0.24 * len(found.inputs)
     with use_style():
@@ -45,16 +53,16 @@ def _bars(axes: Axes, found: Relevance, o: int) -> None:
     axes.barh(*fine, color=BLUE, label=f"without it ({_words(found)})", **look)
     if lost.any():
         axes.barh(at[lost], edge, color=RED, label="diverges without it", **look)
-    dots = {"ls": "", "marker": "o", "ms": 4, "mfc": "white", "color": INK}
+    dots = {"ls": "", "marker": "o", "ms": 4, "mfc": "white", "color": INK_COLOUR}
     axes.plot(moved[~lost], at[~lost], label="moves the run by", **dots)
     if np.isfinite(found.complete[o]):
         axes.axvline(found.complete[o], color=GREY, lw=1.2, label="with all inputs")
-    axes.set_yticks(at, [plain(found.inputs[i].name, 20) for i in order])
+    axes.set_yticks(at, [plain_text(found.inputs[i].name, 20) for i in order])
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)
     axes.invert_yaxis()
     axes.set(xlim=(0, edge), xlabel="NRMSE of the free run")
-    axes.set_title(plain(found.outputs[o].name, 30))
+    axes.set_title(plain_text(found.outputs[o].name, 30))
 
 
 def _words(found: Relevance) -> str:

@@ -16,13 +16,13 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from jaxnarx.shell.figures.style import (
     BLUE,
-    CYCLE,
-    INK,
+    COLOUR_CYCLE,
+    INK_COLOUR,
     ORANGE,
     RED,
     Powers,
     canvas,
-    plain,
+    plain_text,
     tone,
     use_style,
 )
@@ -30,15 +30,15 @@ from jaxnarx.shell.figures.style import (
 Numbers = Sequence[float | int | None] | np.ndarray
 """A list or array of numbers; None where one is not known."""
 
-POINTS = 1500
-COLUMNS = 4
+LINE_POINTS = 1500
+PANELS_PER_ROW = 4
 """Panels beside one another where every record is shown."""
 
 
 def envelope(
     time: Float[np.ndarray, " time"],
     value: Float[np.ndarray, " time"],
-    points: int = POINTS,
+    points: int = LINE_POINTS,
 ) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
     """At most `points` samples that draw the same line: least and largest of each bin.
 
@@ -60,7 +60,7 @@ def envelope(
     return time[kept], value[kept]
 
 
-def measured_and_simulated(
+def draw_free_run(
     time: Float[np.ndarray, " time"],
     measured: Float[np.ndarray, " time"],
     simulated: Float[np.ndarray, " time"],
@@ -72,7 +72,7 @@ def measured_and_simulated(
     scored: Bool[np.ndarray, " time"] | None = None,
     lower: Float[np.ndarray, " time"] | None = None,
     upper: Float[np.ndarray, " time"] | None = None,
-    points: int = POINTS,
+    points: int = LINE_POINTS,
 ) -> Figure:
     """Measurement, free run and one-step prediction over time [s], residual below.
 
@@ -93,17 +93,19 @@ def measured_and_simulated(
         if one_step is not None:
             style = {"color": ORANGE, "lw": 4.0, "alpha": 0.45}
             top.plot(*envelope(time, one_step, points), label="one step", **style)
-        top.plot(*envelope(time, gap, points), color=INK, lw=1.4, label="measured")
+        top.plot(
+            *envelope(time, gap, points), color=INK_COLOUR, lw=1.4, label="measured"
+        )
         top.plot(*envelope(time, simulated, points), color=BLUE, label="free run")
         _limits(top, gap)
         residual = gap - simulated
         low.plot(*envelope(time, residual, points), color=BLUE, lw=0.8)
-        low.axhline(0, color=INK, lw=0.6)
+        low.axhline(0, color=INK_COLOUR, lw=0.6)
         _limits(low, residual, around=gap)
         for axes in (top, low):
             _shade(axes, time, limited)
-        top.set_ylabel(plain(label))
-        top.set_title(plain(title, 90), pad=20)
+        top.set_ylabel(plain_text(label))
+        top.set_title(plain_text(title, 90), pad=20)
         low.set(xlabel="time [s]", ylabel="residual")
         low.set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 1)
         figure.align_ylabels([top, low])
@@ -127,13 +129,13 @@ def _interval(
     axes.fill_between(time[at], low, high, color=BLUE, alpha=0.18, lw=0, **style)
 
 
-def every_record(traces: Sequence[Any], *, points: int = 240) -> Figure:
+def draw_record_panels(traces: Sequence[Any], *, points: int = 240) -> Figure:
     """Measurement and free run of many records of one output, a small panel each.
 
     Each trace has `time`, `measured`, `simulated`, `scored`, `record` and `rmse`. All
     panels share the axis of the output.
     """
-    columns = min(len(traces), COLUMNS)
+    columns = min(len(traces), PANELS_PER_ROW)
     rows = -(-len(traces) // columns)
     with use_style():
         share = {"sharey": True}
@@ -142,17 +144,17 @@ def every_record(traces: Sequence[Any], *, points: int = 240) -> Figure:
         )
         shown = [np.where(t.scored, t.measured, np.nan) for t in traces]
         for ax, trace, measured in zip(axes, traces, shown, strict=False):
-            ax.plot(*envelope(trace.time, measured, points), color=INK, lw=1.0)
+            ax.plot(*envelope(trace.time, measured, points), color=INK_COLOUR, lw=1.0)
             line = envelope(trace.time, trace.simulated, points)
             ax.plot(*line, color=BLUE, lw=0.8)
             error = "diverged" if trace.rmse is None else f"RMSE {trace.rmse:.3g}"
-            ax.set_title(f"{plain(trace.record, 28)}: {error}", fontsize=7.5)
+            ax.set_title(f"{plain_text(trace.record, 28)}: {error}", fontsize=7.5)
             ax.tick_params(labelsize=7)
         _limits(axes[0], np.concatenate(shown))
         for ax in axes[len(traces) :]:
             ax.set_axis_off()
         for ax in axes[::columns]:
-            ax.set_ylabel(plain(traces[0].output.label, 20), fontsize=7.5)
+            ax.set_ylabel(plain_text(traces[0].output.label, 20), fontsize=7.5)
         for ax in axes[max(len(traces) - columns, 0) : len(traces)]:
             ax.set_xlabel("time [s]", fontsize=7.5)
     return figure
@@ -165,7 +167,7 @@ def error_map(value: Any) -> Figure:
     too low and red where it is too high. White cells hold no sample, hatched ones too
     few to say much.
     """
-    unit = f" [{plain(value.unit)}]" if value.unit else ""
+    unit = f" [{plain_text(value.unit)}]" if value.unit else ""
     counts = np.where(value.samples > 0, value.samples, np.nan)
     most = float(np.nanmax(np.abs(value.bias), initial=0.0)) or 1.0
     panels: tuple[tuple[Any, str, dict[str, Any]], ...] = (
@@ -182,9 +184,9 @@ def error_map(value: Any) -> Figure:
             _hatch(ax, value)
             ax.grid(visible=False)
         for ax in axes[2:]:
-            ax.set_xlabel(plain(value.variables[0]))
+            ax.set_xlabel(plain_text(value.variables[0]))
         for ax in axes[::2]:
-            ax.set_ylabel(plain(value.variables[1]))
+            ax.set_ylabel(plain_text(value.variables[1]))
     return figure
 
 
@@ -196,7 +198,12 @@ def _hatch(axes: Axes, value: Any) -> None:
         [(x[i], y[j]), (x[i + 1], y[j]), (x[i + 1], y[j + 1]), (x[i], y[j + 1])]
         for i, j in few
     ]
-    style = {"facecolor": "none", "edgecolor": INK, "hatch": "////", "linewidth": 0}
+    style = {
+        "facecolor": "none",
+        "edgecolor": INK_COLOUR,
+        "hatch": "////",
+        "linewidth": 0,
+    }
     axes.add_collection(PolyCollection(corners, **style))
 
 
@@ -206,7 +213,7 @@ def error_by_index(value: Any, edges: Sequence[float]) -> Figure:
     All bins are as wide; one with too few samples for an error says so. `value` is an
     `ErrorByIndex`, `edges` are the borders of its bins, the last without an end.
     """
-    unit = f" [{plain(value.unit)}]" if value.unit else ""
+    unit = f" [{plain_text(value.unit)}]" if value.unit else ""
     bins, border = len(value.rms), list(edges).index(1.0)
     ends = np.arange(bins + 1)
     few = np.isnan(value.rms) & (value.samples > 0)
@@ -217,7 +224,7 @@ def error_by_index(value: Any, edges: Sequence[float]) -> Figure:
             left.annotate("few", (n + 0.5, 0), ha="center", va="bottom", fontsize=7)
         right.stairs(value.samples, ends, fill=True, color=BLUE, alpha=0.75)
         for ax, label in ((left, "RMSE" + unit), (right, "samples")):
-            ax.axvline(border, color=INK, lw=0.8)
+            ax.axvline(border, color=INK_COLOUR, lw=0.8)
             ax.set(xlabel="index, one at the border", ylabel=label)
             ax.set_xticks(ends[:-1], [f"{edge:g}" for edge in edges[:-1]])
             ax.set_xlim(0, bins)
@@ -242,16 +249,16 @@ def agreement(
         figure, (left, right) = canvas(9.0, 3.2, columns=2, width_ratios=(1, 1.6))
         if len(measured):
             span = np.array([measured.min(), measured.max()])
-            left.plot(span, span, color=INK, lw=0.8)
+            left.plot(span, span, color=INK_COLOUR, lw=0.8)
         dots = {"ls": "", "marker": ".", "ms": 2.2, "alpha": 0.45, "mew": 0}
         left.plot(measured, simulated, color=BLUE, rasterized=True, **dots)
-        left.set(xlabel="measured " + plain(label), ylabel="free run")
+        left.set(xlabel="measured " + plain_text(label), ylabel="free run")
         if len(counts):
             right.stairs(counts, edges, fill=True, color=BLUE, alpha=0.75)
-            _normal(right, counts, edges)
-            right.axvline(0, color=INK, lw=0.8)
+            _draw_normal(right, counts, edges)
+            right.axvline(0, color=INK_COLOUR, lw=0.8)
         right.set(
-            xlabel="residual" + (f" [{plain(unit)}]" if unit else ""),
+            xlabel="residual" + (f" [{plain_text(unit)}]" if unit else ""),
             ylabel="samples",
         )
     return figure
@@ -260,11 +267,11 @@ def agreement(
 def cumulated_errors(value: Any) -> Figure:
     """Share of the samples over the size of their error, of an `ErrorDistribution`; a
     line marks 95 %, another the tolerance."""
-    unit = f" [{plain(value.unit)}]" if value.unit else ""
+    unit = f" [{plain_text(value.unit)}]" if value.unit else ""
     with use_style():
         figure, (axes,) = canvas(9.0, 2.6)
         axes.plot(value.size, 100 * value.share, color=BLUE)
-        axes.plot([value.most] * 2, [0, 95], color=INK, lw=0.8, ls="--")
+        axes.plot([value.most] * 2, [0, 95], color=INK_COLOUR, lw=0.8, ls="--")
         if value.tolerance is not None and value.tolerance <= value.largest:
             axes.axvline(value.tolerance, color=ORANGE, lw=1.2)
         axes.set(xlabel="size of the error" + unit, ylabel="samples up to it [%]")
@@ -278,8 +285,10 @@ def chart(value: Any) -> Figure:
     with use_style():
         figure, (axes,) = canvas(9.0, 2.8)
         for n, curve in enumerate(value.curves):
-            axes.plot(curve.x, curve.y, color=tone(n), lw=1, label=plain(curve.name))
-        axes.set(xlabel=plain(value.x_label), ylabel=plain(value.y_label))
+            axes.plot(
+                curve.x, curve.y, color=tone(n), lw=1, label=plain_text(curve.name)
+            )
+        axes.set(xlabel=plain_text(value.x_label), ylabel=plain_text(value.y_label))
         for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
             if name in value.log:
                 axes.set(**{f"{name}scale": "log"})
@@ -317,7 +326,7 @@ def selection_path(
         bars.set_xscale("log")
         bars.xaxis.set_major_formatter(Powers())
         bars.xaxis.set_minor_formatter(Powers(labelOnlyBase=False))
-        bars.set_yticks(at, [plain(name, 34) for name in names])
+        bars.set_yticks(at, [plain_text(name, 34) for name in names])
         bars.tick_params(axis="y", length=0, labelsize=8)
         bars.invert_yaxis()
         bars.grid(axis="y", visible=False)
@@ -335,19 +344,23 @@ def refinement(history: Sequence[Mapping[str, Any]]) -> Figure:
     and `validation`. The best validation value is ringed.
     """
     step = np.arange(len(history))
-    loss = np.array([_positive(h.get("loss")) for h in history])
-    proof = np.array([_positive(h.get("validation")) for h in history])
+    loss = np.array([_positive_or_nan(h.get("loss")) for h in history])
+    proof = np.array([_positive_or_nan(h.get("validation")) for h in history])
     horizon = [_horizon(h) for h in history]
     with use_style():
         figure, axes = canvas(9.0, 2.9, columns=2, sharex=True)
         for i, name in enumerate(dict.fromkeys(horizon)):
             here = np.array([h == name for h in horizon])
-            style = {"color": CYCLE[i % len(CYCLE)], "marker": "o", "ms": 3}
+            style = {
+                "color": COLOUR_CYCLE[i % len(COLOUR_CYCLE)],
+                "marker": "o",
+                "ms": 3,
+            }
             axes[0].plot(step[here], loss[here], label=name, **style)
             axes[1].plot(step[here], proof[here], **style)
         if np.any(np.isfinite(proof)):
             best = int(np.nanargmin(proof))
-            ring = {"ms": 9, "mfc": "none", "mec": INK, "mew": 1.2, "ls": ""}
+            ring = {"ms": 9, "mfc": "none", "mec": INK_COLOUR, "mew": 1.2, "ls": ""}
             axes[1].plot(best, proof[best], marker="o", label="best, kept", **ring)
             axes[1].legend()
         else:
@@ -369,7 +382,7 @@ def _ydata(axes: Axes) -> list[np.ndarray]:
     return [np.asarray(line.get_ydata(), float) for line in axes.lines]
 
 
-def _positive(value: object) -> float:
+def _positive_or_nan(value: object) -> float:
     number = float(value) if isinstance(value, int | float | np.number) else np.nan
     return number if np.isfinite(number) and number > 0 else np.nan
 
@@ -377,8 +390,10 @@ def _positive(value: object) -> float:
 def _horizon(entry: Mapping[str, Any]) -> str:
     value = entry.get("horizon")
     if value is None:
-        return plain(entry.get("stage", "all"))
-    return f"{value} samples" if isinstance(value, int | np.integer) else plain(value)
+        return plain_text(entry.get("stage", "all"))
+    return (
+        f"{value} samples" if isinstance(value, int | np.integer) else plain_text(value)
+    )
 
 
 def _limits(axes: Axes, value: np.ndarray, around: np.ndarray | None = None) -> None:
@@ -409,14 +424,14 @@ def _shade(axes: Axes, time: np.ndarray, where: np.ndarray | None) -> None:
         axes.axvspan(time[a], time[b], color=RED, alpha=0.16, lw=0.5, label=label)
 
 
-def _normal(axes: Axes, counts: np.ndarray, edges: np.ndarray) -> None:
+def _draw_normal(axes: Axes, counts: np.ndarray, edges: np.ndarray) -> None:
     middle = 0.5 * (edges[:-1] + edges[1:])
     spread = float(np.sqrt(np.average(middle**2, weights=counts)))
     if spread > 0:
         at = np.linspace(edges[0], edges[-1], 200)
         density = np.exp(-0.5 * (at / spread) ** 2) / (spread * np.sqrt(2 * np.pi))
         bulk = density * counts.sum() * (edges[1] - edges[0])
-        axes.plot(at, bulk, color=INK, lw=0.9, ls=(0, (3, 1.5)))
+        axes.plot(at, bulk, color=INK_COLOUR, lw=0.9, ls=(0, (3, 1.5)))
 
 
 def _criteria(axes: Axes, criteria: Mapping[str, Numbers]) -> None:
@@ -427,9 +442,9 @@ def _criteria(axes: Axes, criteria: Mapping[str, Numbers]) -> None:
             continue
         low, high = np.nanmin(value), np.nanmax(value)
         scaled = (value - low) / ((high - low) or 1.0)
-        size, color = np.arange(1, len(value) + 1), CYCLE[i % len(CYCLE)]
+        size, color = np.arange(1, len(value) + 1), COLOUR_CYCLE[i % len(COLOUR_CYCLE)]
         best = int(np.nanargmin(value))
-        label = f"{plain(name)}, least at {size[best]}"
+        label = f"{plain_text(name)}, least at {size[best]}"
         axes.plot(size, scaled, color=color, label=label)
         axes.plot(size[best], scaled[best], color=color, marker="o", ms=5)
     axes.set(xlabel="number of terms", ylabel="from best (0) to worst (1)")

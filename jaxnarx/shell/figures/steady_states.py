@@ -9,11 +9,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation import Intersection, ResponseSurface
-from jaxnarx.shell.figures.style import BLUE, GREY, INK, canvas, plain, use_style
+from jaxnarx.shell.figures.style import (
+    BLUE,
+    GREY,
+    INK_COLOUR,
+    canvas,
+    plain_text,
+    use_style,
+)
 
-COLUMNS = 4
+PANELS_PER_ROW = 4
 """Panels in a row; more inputs go on below."""
-LEVELS = 11
+COLOUR_LEVELS = 11
 """Steps of colour of a surface."""
 
 
@@ -26,7 +33,7 @@ def intersections(cuts: Sequence[Intersection]) -> Figure:
     """
     outputs = list(dict.fromkeys(cut.output.name for cut in cuts))
     inputs = len(cuts) // len(outputs)
-    columns = min(inputs, COLUMNS)
+    columns = min(inputs, PANELS_PER_ROW)
     each = -(-inputs // columns)
     rows = each * len(outputs)
     with use_style():
@@ -44,7 +51,7 @@ def intersections(cuts: Sequence[Intersection]) -> Figure:
                     ax.set_ylim(*heights)
                 ax.tick_params(labelleft=n % columns == 0)
                 if n % columns == 0:
-                    ax.set_ylabel(plain(cut.output.label, 24))
+                    ax.set_ylabel(plain_text(cut.output.label, 24))
         figure.suptitle(_point(cuts[0].at), x=0.01, ha="left", fontsize=8)
     return figure
 
@@ -59,8 +66,8 @@ def _cut(axes: Axes, cut: Intersection) -> None:
     # Dashed from the last place inside on.
     near = beyond | np.r_[beyond[1:], False] | np.r_[False, beyond[:-1]]
     axes.plot(cut.x, np.where(near, cut.y, np.nan), color=GREY, ls=(0, (3, 1.5)))
-    axes.plot(*cut.here, color=INK, marker="o", ms=4.5, mec="white", mew=0.8)
-    axes.set_xlabel(plain(cut.over.label, 26))
+    axes.plot(*cut.here, color=INK_COLOUR, marker="o", ms=4.5, mec="white", mew=0.8)
+    axes.set_xlabel(plain_text(cut.over.label, 26))
     axes.locator_params(axis="x", nbins=5)
 
 
@@ -84,7 +91,7 @@ def _heights(cuts: Sequence[Intersection]) -> tuple[float, float] | None:
 
 def _point(at) -> str:
     told = ", ".join(f"{name} {value:.4g}" for name, value in at.items())
-    return plain(f"at rest, through {told}", 130)
+    return plain_text(f"at rest, through {told}", 130)
 
 
 def response_surface(found: ResponseSurface) -> Figure:
@@ -97,21 +104,21 @@ def response_surface(found: ResponseSurface) -> Figure:
         lines = {"colors": "white", "linewidths": 0.4, "linestyles": "solid"}
         value = np.ma.masked_invalid(found.value.T)
         low, high = _ends(found.value)
-        levels = MaxNLocator(LEVELS).tick_values(low, high)
+        levels = MaxNLocator(COLOUR_LEVELS).tick_values(low, high)
         filled = axes.contourf(found.x, found.y, value, levels=levels, cmap="viridis")
         axes.contour(found.x, found.y, value, levels=levels, **lines)
         if found.index is not None and np.any(found.index > 1):
-            _outside(axes, found)
-        figure.colorbar(filled, ax=axes, label=plain(found.output.label))
+            _hatch_outside(axes, found)
+        figure.colorbar(filled, ax=axes, label=plain_text(found.output.label))
         here = [found.at[channel.name] for channel in found.over]
-        axes.plot(*here, color=INK, marker="o", ms=5, mec="white", mew=0.8)
-        axes.set_xlabel(plain(found.over[0].label))
-        axes.set_ylabel(plain(found.over[1].label))
+        axes.plot(*here, color=INK_COLOUR, marker="o", ms=5, mec="white", mew=0.8)
+        axes.set_xlabel(plain_text(found.over[0].label))
+        axes.set_ylabel(plain_text(found.over[1].label))
         own = {channel.name for channel in found.over}
         held = [f"{n} {v:.4g}" for n, v in found.at.items() if n not in own]
         if held:
             told = ", ".join(held)
-            axes.set_title(plain(f"at rest with {told}", 90), fontsize=8)
+            axes.set_title(plain_text(f"at rest with {told}", 90), fontsize=8)
         axes.grid(visible=False)
     return figure
 
@@ -122,10 +129,10 @@ def _ends(value: Float[np.ndarray, "first second"]) -> tuple[float, float]:
     return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
-def _outside(axes: Axes, found: ResponseSurface) -> None:
+def _hatch_outside(axes: Axes, found: ResponseSurface) -> None:
     assert found.index is not None
     style = {"colors": "none", "hatches": ["////"]}
     top = max(float(found.index.max()), 1.0) + 1.0
     axes.contourf(found.x, found.y, found.index.T, levels=[1.0, top], **style)
-    line = {"colors": INK, "linewidths": 0.9}
+    line = {"colors": INK_COLOUR, "linewidths": 0.9}
     axes.contour(found.x, found.y, found.index.T, levels=[1.0], **line)

@@ -22,26 +22,31 @@ from matplotlib.ticker import LogFormatterSciNotation
 
 from jaxnarx.files import write_whole
 
-INK = "#24292f"
-GRID = "#d5dae0"
+INK_COLOUR = "#24292f"
+GRID_COLOUR = "#d5dae0"
 GREY = "#7a828c"
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 PURPLE, SKY = "#cc79a7", "#56b4e9"
-LAYOUT = "constrained"
+LAYOUT_ENGINE = "constrained"
 """How figures find their margins: half of the time of a figure."""
-CYCLE = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+COLOUR_CYCLE = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
 """Okabe and Ito's palette: told apart with any common colour blindness."""
 
-_SHADES = (("#000000", 0.0), ("#000000", 0.45), ("#ffffff", 0.5), ("#000000", 0.7))
+_CYCLE_SHADES = (
+    ("#000000", 0.0),
+    ("#000000", 0.45),
+    ("#ffffff", 0.5),
+    ("#000000", 0.7),
+)
 """What the palette is mixed with, and how much of it, each time it is used up."""
 
-_SETTINGS: dict[Any, Any] = {
+_STYLE_SETTINGS: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
     "axes.titleweight": "normal",
-    "axes.labelcolor": INK,
-    "axes.edgecolor": INK,
+    "axes.labelcolor": INK_COLOUR,
+    "axes.edgecolor": INK_COLOUR,
     "axes.linewidth": 0.6,
     "axes.grid": True,
     "axes.axisbelow": True,
@@ -49,11 +54,11 @@ _SETTINGS: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.facecolor": "none",
     "figure.facecolor": "none",
-    "grid.color": GRID,
+    "grid.color": GRID_COLOUR,
     "grid.linewidth": 0.5,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
+    "text.color": INK_COLOUR,
+    "xtick.color": INK_COLOUR,
+    "ytick.color": INK_COLOUR,
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "lines.linewidth": 1.1,
@@ -69,7 +74,7 @@ def use_style() -> Iterator[None]:
 
     A channel name in a script the drawing font lacks is no fault: the SVG carries text.
     """
-    with matplotlib.rc_context(_SETTINGS), warnings.catch_warnings():
+    with matplotlib.rc_context(_STYLE_SETTINGS), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*[Gg]lyph.*")
         yield
 
@@ -93,7 +98,7 @@ def canvas(
     width: float = 9.0, height: float = 2.8, *, rows: int = 1, columns: int = 1, **grid
 ) -> tuple[Figure, list[Axes]]:
     """A figure of that size in inches and its axes, row by row."""
-    figure = Drawing(figsize=(width, height), layout=LAYOUT)
+    figure = Drawing(figsize=(width, height), layout=LAYOUT_ENGINE)
     axes = figure.subplots(rows, columns, squeeze=False, **grid)
     return figure, list(axes.flat)
 
@@ -103,8 +108,10 @@ def tone(number: int) -> str:
 
     Behind the palette come its darker and lighter shades: 24 colours, then again.
     """
-    other, share = _SHADES[number // len(CYCLE) % len(_SHADES)]
-    pairs = zip(to_rgb(CYCLE[number % len(CYCLE)]), to_rgb(other), strict=True)
+    other, share = _CYCLE_SHADES[number // len(COLOUR_CYCLE) % len(_CYCLE_SHADES)]
+    pairs = zip(
+        to_rgb(COLOUR_CYCLE[number % len(COLOUR_CYCLE)]), to_rgb(other), strict=True
+    )
     red, green, blue = ((1 - share) * a + share * b for a, b in pairs)
     return to_hex((red, green, blue))
 
@@ -115,14 +122,14 @@ class Powers(LogFormatterSciNotation):
     def __call__(self, x: Any, pos: int | None = None) -> str:
         """The label at `x`."""
         label = super().__call__(x, pos)
-        text = re.sub(r"\^\{(.*?)\}", lambda m: m[1].translate(_RAISED), label)
+        text = re.sub(r"\^\{(.*?)\}", lambda m: m[1].translate(_SUPERSCRIPTS), label)
         return re.sub(r"\$|\\mathdefault|[{}]", "", text).replace(r"\times", "×")
 
 
-_RAISED = str.maketrans("−-0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_SUPERSCRIPTS = str.maketrans("−-0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def plain(text: object, width: int = 48) -> str:
+def plain_text(text: object, width: int = 48) -> str:
     """`text` as it is: no mathematics in it, one line, no control characters."""
     line = "".join(c if c.isprintable() else " " for c in str(text))
     line = line if len(line) <= width else line[: width - 1] + "…"

@@ -7,10 +7,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxnarx.inverse import Tracking
-from jaxnarx.shell.figures.style import CYCLE, INK, canvas, plain, use_style
+from jaxnarx.shell.figures.style import (
+    COLOUR_CYCLE,
+    INK_COLOUR,
+    canvas,
+    plain_text,
+    use_style,
+)
 from jaxnarx.solution import Solution
 
-SHOWN = 600
+MAX_SAMPLES_SHOWN = 600
 """Samples shown of a record; longer ones are cut, not thinned."""
 
 
@@ -26,25 +32,25 @@ def draw_tracking(
     """
     first = next(iter(ways.values())).value
     panels = len(first.targets) + len(first.command_names)
-    length = min(SHOWN, len(first.commands[record]))
+    length = min(MAX_SAMPLES_SHOWN, len(first.commands[record]))
     time = np.arange(length) * sample_time
     with use_style():
         figure, axes = canvas(9.0, 1.4 * panels + 0.6, rows=panels, sharex=True)
         for i, name in enumerate(first.target_names):
             ax = axes[i]
             wanted = first.references[record][:length, i]
-            ax.plot(time, wanted, color=INK, linewidth=0.8, label="reference")
-            for (way, found), colour in zip(ways.items(), CYCLE, strict=False):
+            ax.plot(time, wanted, color=INK_COLOUR, linewidth=0.8, label="reference")
+            for (way, found), colour in zip(ways.items(), COLOUR_CYCLE, strict=False):
                 followed = found.value.outputs[record][:length, first.targets[i]]
                 error = f"NRMSE {found.value.nrmse()[i]:.3g}"
                 end = error if found.is_okay else found.status_name
                 ax.plot(time, followed, color=colour, label=f"{way}, {end}")
-            _finished(ax, name)
+            _finish_panel(ax, name)
         for c, name in enumerate(first.command_names):
             ax = axes[len(first.targets) + c]
-            for (way, found), colour in zip(ways.items(), CYCLE, strict=False):
+            for (way, found), colour in zip(ways.items(), COLOUR_CYCLE, strict=False):
                 _command(ax, time, found.value, record, c, colour, way)
-            _finished(ax, name)
+            _finish_panel(ax, name)
         axes[-1].set_xlabel("time [s]")
     return figure
 
@@ -60,7 +66,7 @@ def _command(
         ax.plot(time[held], moved[held], ".", color=colour, markersize=3)
 
 
-def _finished(ax: Axes, name: str) -> None:
-    ax.set_ylabel(plain(name, 16))
+def _finish_panel(ax: Axes, name: str) -> None:
+    ax.set_ylabel(plain_text(name, 16))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderaxespad=0)
     ax.margins(x=0)

@@ -8,9 +8,16 @@ from jaxtyping import Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxnarx.shell.figures.style import CYCLE, GREY, INK, canvas, plain, use_style
+from jaxnarx.shell.figures.style import (
+    COLOUR_CYCLE,
+    GREY,
+    INK_COLOUR,
+    canvas,
+    plain_text,
+    use_style,
+)
 
-ROW = 0.21
+LINE_HEIGHT_INCHES = 0.21
 """Height of a line [inch]."""
 
 
@@ -36,7 +43,7 @@ def tree(entry: Mapping[str, Any]) -> Figure:
     sides = [entry[key] for key in ("before", "after") if key in entry]
     titles = ["before refinement", "after refinement"] if len(sides) == 2 else [""]
     lists = [branches(side["gates"], np.asarray(side["path"])) for side in sides]
-    height = 0.5 + ROW * max(map(len, lists))
+    height = 0.5 + LINE_HEIGHT_INCHES * max(map(len, lists))
     with use_style():
         figure, axes = canvas(9.0, height, columns=len(sides), sharex=True, sharey=True)
         for ax, title, rows in zip(axes, titles, lists, strict=True):
@@ -84,7 +91,11 @@ def _draw(axes: Axes, rows: list[Branch]) -> None:
         axes.plot([x, x, x + 0.6 * step], [start + 0.3, at, at], color=GREY, lw=0.8)
         place = x + 0.9 * step
         if row.leaf >= 0:
-            dot = {"marker": "o", "ms": 11, "color": CYCLE[row.leaf % len(CYCLE)]}
+            dot = {
+                "marker": "o",
+                "ms": 11,
+                "color": COLOUR_CYCLE[row.leaf % len(COLOUR_CYCLE)],
+            }
             axes.plot(place + 0.006, at, alpha=0.55, mew=0, **dot)
             number: dict[str, Any] = {
                 "ha": "center",
@@ -93,6 +104,8 @@ def _draw(axes: Axes, rows: list[Branch]) -> None:
             }
             axes.text(place + 0.006, at, str(row.leaf + 1), fontsize=7.5, **number)
             place += 0.03
-        axes.text(place, at, plain(row.text, 60), va="center_baseline", color=INK)
+        axes.text(
+            place, at, plain_text(row.text, 60), va="center_baseline", color=INK_COLOUR
+        )
     axes.set(xlim=(-0.01, 1), ylim=(max(len(rows), 1) - 0.4, -0.8))
     axes.set_axis_off()

@@ -36,7 +36,7 @@ from jaxnarx.shell import figures
 from jaxnarx.shell.figures.inline import inline_svg
 from jaxnarx.shell.figures.leaderboard import error_over_operations
 from jaxnarx.shell.report.overview import overview
-from jaxnarx.shell.report.page import running
+from jaxnarx.shell.report.page import make_page
 
 MAX_RECORDS = 400
 """Records listed per part; a page should stay readable, the JSON holds them all."""
@@ -44,7 +44,7 @@ MAX_RECORDS = 400
 STATIC_POINTS = 600
 """Of a line over time that is drawn beforehand."""
 
-TOP = 10
+CANDIDATES_SHOWN = 10
 """Candidates of a search that are shown at once; the others are folded away."""
 
 MAX_PANELS = 48
@@ -71,7 +71,7 @@ def render(report: Report) -> str:
     )
     environment.filters |= {"figure": figure_text, "term": term_html, "span": _span}
     environment.filters |= {"data_of": name_data, "ratio": _ratio}
-    live = running(report)
+    live = make_page(report)
     page = environment.get_template("report.html.jinja").render(
         report=report,
         running=live,
@@ -82,11 +82,11 @@ def render(report: Report) -> str:
         models=_models(report),
         boards=_boards(report),
         pictures=_pictures(report),
-        provenance=_flat(report.provenance),
+        provenance=_flatten(report.provenance),
         max_records=MAX_RECORDS,
         fitted=HOW_ESTIMATED,
     )
-    return _with_contents(page)
+    return _insert_contents(page)
 
 
 def _needed_inputs(report: Report) -> list[str]:
@@ -172,7 +172,9 @@ def _boards(report: Report) -> list[dict[str, Any]]:
                 "top": [
                     row
                     for row in entry["rows"]
-                    if row["rank"] <= TOP or row["used"] or row in _linear(entry)
+                    if row["rank"] <= CANDIDATES_SHOWN
+                    or row["used"]
+                    or row in _linear(entry)
                 ],
                 "rows": entry["rows"],
                 "groups": list(entry["rows"][0]["groups"]) if entry["rows"] else [],
@@ -198,7 +200,7 @@ def _models(report: Report) -> list[dict[str, Any]]:
         out.append(
             {
                 "output": output,
-                "regions": [_words(e.get("region", "")) for e in equations],
+                "regions": [_region_text(e.get("region", "")) for e in equations],
                 "numbers": [e.get("model", i + 1) for i, e in enumerate(equations)],
                 "terms": [(n, [c.get(n) for c in columns]) for n in names],
                 "latex": [str(e.get("latex", "")) for e in equations],
@@ -207,20 +209,24 @@ def _models(report: Report) -> list[dict[str, Any]]:
     return out
 
 
-def _words(value: object) -> str:
+def _region_text(value: object) -> str:
     """A region as a sentence fragment, whatever form the network gives it."""
     if value is None:
         return ""
     if isinstance(value, Mapping) and set(value) == {"centre", "width"}:
-        return f"about {_words(value['centre'])} ± {_words(value['width'])}"
+        return f"about {_region_text(value['centre'])} ± {_region_text(value['width'])}"
     if isinstance(value, Mapping) and value and set(value) <= {"above", "below"}:
         if len(value) == 2:
-            return f"from {_words(value['above'])} to {_words(value['below'])}"
-        return " ".join(f"{side} {_words(level)}" for side, level in value.items())
+            return (
+                f"from {_region_text(value['above'])} to {_region_text(value['below'])}"
+            )
+        return " ".join(
+            f"{side} {_region_text(level)}" for side, level in value.items()
+        )
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_words(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {_region_text(item)}" for key, item in value.items())
     if isinstance(value, list | tuple | np.ndarray):
-        return "(" + ", ".join(_words(item) for item in value) + ")"
+        return "(" + ", ".join(_region_text(item) for item in value) + ")"
     if isinstance(value, float | np.floating):
         return f"{value:.4g}"
     return str(value)
@@ -238,7 +244,10 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
         ],
         "traces": [("", _trace(t, points)) for t in ranked],
         "records": [
-            (f"{c.name}, every record", figures.report.every_record(own[:MAX_PANELS]))
+            (
+                f"{c.name}, every record",
+                figures.report.draw_record_panels(own[:MAX_PANELS]),
+            )
             for c in report.outputs
             for own in [[t for t in report.traces if t.output.name == c.name]]
             if len(own) > 1
@@ -255,13 +264,13 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
         ],
         "selection": [
             (title, _selection(item))
-            for title, item in _by_output(report.selection, "names")
+            for title, item in _pair_outputs(report.selection, "names")
         ],
         "history": [],
         "diagnostics": [],
         "partition": [
             picture
-            for title, item in _by_output(report.partition, "scheduling")
+            for title, item in _pair_outputs(report.partition, "scheduling")
             for picture in _partition(title, item)
         ],
     }
@@ -275,14 +284,17 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
         drawn["history"] = [("", figures.report.refinement(list(report.history)))]
     return {
         section: [
-            (title, _safe(figure, f"{section}{i}-", f"{section} {title}".strip()))
+            (
+                title,
+                _inline_figure(figure, f"{section}{i}-", f"{section} {title}".strip()),
+            )
             for i, (title, figure) in enumerate(items)
         ]
         for section, items in drawn.items()
     }
 
 
-def _safe(figure: Figure, prefix: str, title: str) -> Markup:
+def _inline_figure(figure: Figure, prefix: str, title: str) -> Markup:
     return Markup(inline_svg(figure, prefix, title))  # escaped by the XML writer
 
 
@@ -294,7 +306,7 @@ def _caption(trace: Any) -> str:
 
 
 def _trace(trace: Any, points: int) -> Figure:
-    return figures.report.measured_and_simulated(
+    return figures.report.draw_free_run(
         trace.time,
         trace.measured,
         trace.simulated,
@@ -337,7 +349,7 @@ def _partition(title: str, item: Mapping[str, Any]) -> list[tuple[str, Figure]]:
     return drawn
 
 
-def _by_output(
+def _pair_outputs(
     value: Mapping[str, Any] | None, key: str
 ) -> list[tuple[str, Mapping[str, Any]]]:
     """(output, entry) pairs; a flat entry, known by `key`, stands for all outputs."""
@@ -346,7 +358,7 @@ def _by_output(
     return [("", value)] if key in value else list(value.items())
 
 
-SEEN = {
+PROFILE_WORDS = {
     "dead_time": "dead time in samples:",
     "rise": "rise time in samples:",
     "memory": "memory in samples:",
@@ -356,7 +368,7 @@ SEEN = {
 """What a search has seen in the data, in words."""
 
 
-def _flat(value: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _flatten(value: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A line for every entry, and for every part of one that has parts."""
     rows = []
     for key, item in value.items():
@@ -366,43 +378,45 @@ def _flat(value: Mapping[str, Any]) -> list[tuple[str, str]]:
                 (f"{key}, {name}", _pairs_text(part)) for name, part in parts.items()
             ]
         else:
-            rows.append((key, _pairs_text(parts) if parts else _words(item)))
+            rows.append((key, _pairs_text(parts) if parts else _region_text(item)))
     return rows
 
 
 def _pairs_text(item: Mapping[str, Any]) -> str:
     """`dead time in samples: speed 2, load 0; memory in samples: 40`."""
-    known = {SEEN.get(key, key): _words(part) for key, part in item.items()}
+    known = {
+        PROFILE_WORDS.get(key, key): _region_text(part) for key, part in item.items()
+    }
     return "; ".join(f"{key} {words or 'none'}" for key, words in known.items())
 
 
-CONTENTS = "<!-- contents -->"
+CONTENTS_MARK = "<!-- contents -->"
 """Where the table of contents stands."""
 
 
-def _with_contents(page: str) -> str:
+def _insert_contents(page: str) -> str:
     """The page with a link to every heading behind the first lines.
 
     Headings are texts of the templates and titles of sections, escaped by jinja2.
     """
-    top, mark, body = page.partition(CONTENTS)
+    top, mark, body = page.partition(CONTENTS_MARK)
     if not mark:
         return page
     body, script, scripts = body.partition("<script")
     titles: list[str] = []
 
-    def numbered(found: re.Match[str]) -> str:
+    def number_title(found: re.Match[str]) -> str:
         titles.append(found[1])
         return f'<h2 id="section-{len(titles)}">{found[1]}</h2>'
 
-    body = re.sub(r"<h2>([^<]*)</h2>", numbered, body)
+    body = re.sub(r"<h2>([^<]*)</h2>", number_title, body)
     links = [
-        f'<a href="#section-{n}"{LIVE if title == TRY else ""}>{title}</a>'
+        f'<a href="#section-{n}"{LIVE_CLASS if title == TRY_TITLE else ""}>{title}</a>'
         for n, title in enumerate(titles, 1)
     ]
     contents = f'<nav class="contents" aria-label="Contents">{" ".join(links)}</nav>'
     return top + contents + body + script + scripts
 
 
-TRY, LIVE = "Try the model", ' class="live"'
+TRY_TITLE, LIVE_CLASS = "Try the model", ' class="live"'
 """The section that needs scripts, and how it is hidden without them."""

@@ -4,7 +4,7 @@ from typing import Any
 
 from jaxnarx.evaluation import GOOD, LIMITED, UNUSABLE, Report, Row, rows_beside
 
-KINDS = {GOOD: "good", LIMITED: "warn", UNUSABLE: "bad"}
+LEVEL_CLASSES = {GOOD: "good", LIMITED: "warn", UNUSABLE: "bad"}
 """The look of a verdict and of its reasons."""
 
 
@@ -12,14 +12,14 @@ def overview(report: Report) -> dict[str, Any]:
     """The verdict, one card per output, and a line of trust per part."""
     cards = [_card(report, channel.name) for channel in report.outputs]
     trust = [
-        _trust(report, report.pooled_row(channel.name, part=part))
+        _evidence(report, report.pooled_row(channel.name, part=part))
         for part in report.parts
         for channel in report.outputs
     ]
     return {
         "judged": report.verdict,
-        "kind": KINDS[report.verdict.level],
-        "kinds": KINDS,
+        "kind": LEVEL_CLASSES[report.verdict.level],
+        "kinds": LEVEL_CLASSES,
         "cards": cards,
         "trust": trust,
         "beside": rows_beside(report),
@@ -43,7 +43,7 @@ def _factor(free: Row, one: Row | None) -> float | None:
     return factor if 0 < factor < float("inf") else None
 
 
-def _trust(report: Report, row: Row) -> dict[str, Any]:
+def _evidence(report: Report, row: Row) -> dict[str, Any]:
     single = [
         r
         for r in report.rows

@@ -21,8 +21,8 @@ from jaxnarx.models import Network, combine_outputs, drop_outputs, save
 from jaxnarx.shell.messages import say, size
 from jaxnarx.shell.output import write_report, write_text, write_together
 
-ORIGIN = "made_from.json"
-CSV = "leaderboard.csv"
+ORIGIN_FILE = "made_from.json"
+LEADERBOARD_FILE = "leaderboard.csv"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,24 +33,24 @@ class Origin:
     root: str | None
 
     @classmethod
-    def of(cls, description: str, root: str | None) -> "Origin":
+    def from_options(cls, description: str, root: str | None) -> "Origin":
         """The origin that was typed, or set as the folder of data."""
         root = root or os.environ.get("JAXNARX_DATA") or None
         return cls(os.path.abspath(description), root and os.path.abspath(root))
 
     def write(self, folder: Path) -> None:
         """Into the folder of the search."""
-        write_text(folder / ORIGIN, json.dumps(dataclasses.asdict(self), indent=1))
+        write_text(folder / ORIGIN_FILE, json.dumps(dataclasses.asdict(self), indent=1))
 
 
 def read_origin(folder: Path) -> Origin:
     """Read what `Origin.write` wrote; DataFileError where it is not there or
     damaged."""
-    path = folder / ORIGIN
+    path = folder / ORIGIN_FILE
     if not path.is_file():
         raise DataFileError(
             f"{folder} does not say which records it was made from (it has no "
-            f"{ORIGIN}); name them with --description",
+            f"{ORIGIN_FILE}); name them with --description",
             path=path,
         )
     with guard_reading(path, "the origin of a search", advice="Use --description."):
@@ -105,7 +105,7 @@ def rivals(
     tables = [describe(found.leaderboard, n, taken.get(n))["rows"] for n in outputs]
     networks = {}
     for linear, kind in ((True, "linear"), (False, "nonlinear")):
-        firsts = [_first_of(rows, linear) for rows in tables]
+        firsts = [_find_first(rows, linear) for rows in tables]
         numbers = [row["number"] for row in firsts if row is not None]
         if len(numbers) < len(outputs) or not all(
             found.model_path(number).is_file() for number in numbers
@@ -120,7 +120,7 @@ def rivals(
     return networks
 
 
-def _first_of(rows: list[dict[str, Any]], linear: bool) -> dict[str, Any] | None:
+def _find_first(rows: list[dict[str, Any]], linear: bool) -> dict[str, Any] | None:
     """The first row of that kind that is not of the family in use."""
     used = {row["family"] for row in rows if row["used"]}
     return next(
@@ -153,12 +153,12 @@ def score_model(
             name: describe(board, name, taken.get(name))
             for name in network.output_names
         },
-        beside=_fitting(rivals(found, network.output_names, taken), parts),
+        beside=_select_long_enough(rivals(found, network.output_names, taken), parts),
         provenance=told,
     )
 
 
-def _fitting(
+def _select_long_enough(
     networks: Mapping[str, Network], parts: Mapping[str, Dataset]
 ) -> dict[str, Network]:
     """The networks whose memory every part has a record for."""
@@ -185,7 +185,7 @@ def write_run(
         save(network, place / "model.safetensors", about=dict(about))
         write_report(result, place)
         if board is not None:
-            write_text(place / CSV, board.to_csv())
+            write_text(place / LEADERBOARD_FILE, board.to_csv())
         return sorted(path.name for path in place.iterdir())
 
 

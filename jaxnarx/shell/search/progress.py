@@ -15,7 +15,7 @@ from jaxnarx.shell.search.leaderboard import live_head, live_line
 Events = Callable[[dict[str, Any]], None]
 
 
-QUIET = 5.0
+SILENT_SECONDS = 5.0
 """Seconds without a line after which one says what is being tried."""
 
 
@@ -23,7 +23,7 @@ QUIET = 5.0
 def search_progress() -> Iterator[Events]:
     """A callback for `identify`: lines, on a terminal above a bar."""
     if not sys.stdout.isatty():
-        with _CandidateLines(say).beating(QUIET) as lines:
+        with _CandidateLines(say).tell_while_silent(SILENT_SECONDS) as lines:
             yield lines
         return
     from rich.progress import (
@@ -43,7 +43,7 @@ def search_progress() -> Iterator[Events]:
     )
     with Progress(*columns, transient=True) as bar:
         task = bar.add_task("looking at the data", total=None)
-        lines = _CandidateLines(functools.partial(_above, bar))
+        lines = _CandidateLines(functools.partial(_write_above, bar))
 
         def tell(event: dict[str, Any]) -> None:
             lines(event)
@@ -54,7 +54,7 @@ def search_progress() -> Iterator[Events]:
         yield tell
 
 
-def _above(bar: Any, text: str) -> None:
+def _write_above(bar: Any, text: str) -> None:
     """A line above the bar, as it is."""
     bar.print(text, markup=False, highlight=False, soft_wrap=True)
 
@@ -68,7 +68,7 @@ class _CandidateLines:
         self.last = self.begin = time.monotonic()
 
     @contextmanager
-    def beating(self, seconds: float) -> Iterator["_CandidateLines"]:
+    def tell_while_silent(self, seconds: float) -> Iterator["_CandidateLines"]:
         """Add a line about what is being tried wherever so long none was written."""
         ended = threading.Event()
 
@@ -78,13 +78,13 @@ class _CandidateLines:
                     passed = duration(time.monotonic() - self.begin)
                     self._write(f"  ... {passed}: {self.now}")
 
-        beating = threading.Thread(target=beat, daemon=True)
-        beating.start()
+        thread = threading.Thread(target=beat, daemon=True)
+        thread.start()
         try:
             yield self
         finally:
             ended.set()
-            beating.join()
+            thread.join()
 
     def _write(self, text: str) -> None:
         self.last = time.monotonic()
@@ -92,7 +92,7 @@ class _CandidateLines:
 
     def __call__(self, event: dict[str, Any]) -> None:
         if "trying" in event:
-            self.now = _trying(event)
+            self.now = _describe_trial(event)
         if "row" not in event:
             return
         if not self.head:
@@ -105,7 +105,7 @@ class _CandidateLines:
         self.now = f"{row.output}{best}{rest}"
 
 
-def _trying(event: dict[str, Any]) -> str:
+def _describe_trial(event: dict[str, Any]) -> str:
     """`torque, candidate 12: hidden states, 2 states (group 1 of 4 left out), so far
     0.125`."""
     trying, chosen = event["trying"], event["chosen"]

@@ -25,12 +25,12 @@ from jaxnarx.shell.commands.search import Automatic
 from jaxnarx.shell.description import read_description, tell_findings
 from jaxnarx.shell.exit_code import exit_code_of, require_finite
 from jaxnarx.shell.messages import count, first_lines, quote_command, say, warn
-from jaxnarx.shell.next_command import next_search
-from jaxnarx.shell.output import RUN, run_folder, slug
+from jaxnarx.shell.next_command import propose_after_search, tell_next
+from jaxnarx.shell.output import RUN_FILES, run_folder, slug
 from jaxnarx.shell.report.page import exported_cost
 from jaxnarx.shell.search.folder import (
-    CSV,
-    ORIGIN,
+    LEADERBOARD_FILE,
+    ORIGIN_FILE,
     Origin,
     provenance,
     score_model,
@@ -39,13 +39,13 @@ from jaxnarx.shell.search.folder import (
     summary,
     write_run,
 )
-from jaxnarx.shell.search.leaderboard import LEGEND, TOP, table
+from jaxnarx.shell.search.leaderboard import CANDIDATES_SHOWN, TABLE_LEGEND, table
 from jaxnarx.shell.search.progress import duration, search_progress
 from jaxnarx.solution import Solution
 
-SHOWN = 3
+OUTPUTS_IN_NAME = 3
 """Outputs that the name of a folder names."""
-GOES_ON = "the same command goes on where it stopped"
+CONTINUATION_TEXT = "the same command goes on where it stopped"
 
 
 def search(command: Identify, asked: Automatic, typed: str) -> int:
@@ -61,37 +61,36 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
     with _search_folder(out, command.force) as folder:
         train, validation = search_records(split)
         tell_findings(train)
-        Origin.of(command.description, command.root).write(folder)
+        Origin.from_options(command.description, command.root).write(folder)
         fit, stopped = _run(asked, train, validation, folder)
         network, board = drop_outputs(fit.value), fit.stats["leaderboard"]
         parts = scored_parts(train, validation, split.test, network)
         if look := fit.stats.get("look"):
             told["seen in the data"] = look
         result = score_model(network, parts, read_search(folder), {}, told)
-        model = str(folder / RUN[0])
+        model = str(folder / RUN_FILES[0])
         judgement = None if stopped else result.verdict
-        following = quote_command(*next_search(command, asked, judgement, model=model))
+        following = propose_after_search(command, asked, judgement, model=model)
         result = dataclasses.replace(result, next_command=following)
         files = write_run(folder, network, result, about, board)
     say("\n" + first_lines(result))
     say("\n" + summary(result))
-    say(
-        f"\n{duration(time.perf_counter() - begin)}; wrote {_listed(files)} to {folder}"
-    )
-    _tell(board, network, quote_command(["jaxnarx", "leaderboard", str(folder)]))
+    spent = duration(time.perf_counter() - begin)
+    say(f"\n{spent}; wrote {_join_names(files)} to {folder}")
+    _tell(board, network, quote_command("jaxnarx", "leaderboard", str(folder)))
     _tell_end(fit, stopped)
-    _left(asked, train.channels, network)
+    _tell_missing(asked, train.channels, network)
     say(f"\nOpen {folder / 'report.html'}")
-    say(f"\nNext: {following}")
+    tell_next(following)
     status = exit_code_of(result, command.require_fit)
     return 130 if stopped else status
 
 
 def folder_name(command: Identify, asked: Automatic) -> str:
     """Always the same for the same description, outputs and preset."""
-    words = [Path(command.description).stem, *asked.outputs[:SHOWN]]
-    if len(asked.outputs) > SHOWN:
-        words.append(f"{len(asked.outputs) - SHOWN}_more")
+    words = [Path(command.description).stem, *asked.outputs[:OUTPUTS_IN_NAME]]
+    if len(asked.outputs) > OUTPUTS_IN_NAME:
+        words.append(f"{len(asked.outputs) - OUTPUTS_IN_NAME}_more")
     return slug("-".join([*words, asked.preset]))
 
 
@@ -112,23 +111,25 @@ def _search_folder(out: str, force: bool) -> Iterator[Path]:
     begun anew. Without any candidate nothing of ours stays in it.
     """
     goes_on = (Path(out) / SEARCH_FILE).is_file()
-    marks = (*RUN, CSV)
+    marks = (*RUN_FILES, LEADERBOARD_FILE)
     with run_folder(out, "", force=force or goes_on, marks=marks) as folder:
         if force:
             _clear(folder)
         try:
-            with interrupt.last_words(lambda: _kept(folder)):
+            with interrupt.last_words(lambda: _tell_kept(folder)):
                 yield folder
         except BaseException as error:
             if not _count_candidates(folder):
                 _clear(folder)
-            elif isinstance(error, KeyboardInterrupt) or interrupt.exit_code_asked():
-                _kept(folder)
+            elif (
+                isinstance(error, KeyboardInterrupt) or interrupt.requested_exit_code()
+            ):
+                _tell_kept(folder)
             raise
 
 
 def _clear(folder: Path) -> None:
-    for name in (SEARCH_FILE, ORIGIN):
+    for name in (SEARCH_FILE, ORIGIN_FILE):
         with suppress(FileNotFoundError):
             (folder / name).unlink()
     shutil.rmtree(folder / CANDIDATES_FOLDER, ignore_errors=True)
@@ -149,10 +150,13 @@ def _run(
     if there := _count_candidates(folder):
         say(f"Going on with {count(there, 'candidate')} in {folder}")
 
-    def heard() -> None:
+    def tell_ending() -> None:
         warn("ending with the best so far; Ctrl-C again ends at once")
 
-    with interrupt.patiently(heard) as patience, search_progress() as progress:
+    with (
+        interrupt.finish_on_interrupt(tell_ending) as patience,
+        search_progress() as progress,
+    ):
         fit = identify(
             train,
             preset=asked.preset,
@@ -167,19 +171,19 @@ def _run(
     return fit, patience.used
 
 
-def _kept(folder: Path) -> None:
+def _tell_kept(folder: Path) -> None:
     if there := _count_candidates(folder):
-        say(f"  {count(there, 'candidate')} kept in {folder}; {GOES_ON}")
+        say(f"  {count(there, 'candidate')} kept in {folder}; {CONTINUATION_TEXT}")
 
 
 def _tell(board: Leaderboard, network: Network, command: str) -> None:
     """The first rows of every output, the choice and why; `command` shows all."""
     for output in network.output_names:
         say(f"\n{output}: free run on records left out, NRMSE")
-        say(table(board, output, top=TOP, command=command))
+        say(table(board, output, top=CANDIDATES_SHOWN, command=command))
         for sentence in sentences(board, output):
             say(sentence)
-    say("\n" + "\n".join(LEGEND))
+    say("\n" + "\n".join(TABLE_LEGEND))
     say(f"All candidates: {command}")
     if cost := exported_cost(network):
         say(f"The exported model takes {cost}")
@@ -187,16 +191,16 @@ def _tell(board: Leaderboard, network: Network, command: str) -> None:
 
 def _tell_end(fit: Solution[Network], stopped: bool) -> None:
     if stopped:
-        warn(f"interrupted: this is the best so far, and {GOES_ON}")
+        warn(f"interrupted: this is the best so far, and {CONTINUATION_TEXT}")
     elif fit.detail:
         (say if fit.is_okay else warn)(f"{fit.status_name}: {fit.detail}")
 
 
-def _left(asked: Automatic, channels: Channels, network: Network) -> None:
+def _tell_missing(asked: Automatic, channels: Channels, network: Network) -> None:
     wanted: Any = asked.outputs or channels.output_names
     if missing := [name for name in wanted if name not in network.output_names]:
-        warn(f"not reached: {', '.join(missing)}; {GOES_ON}")
+        warn(f"not reached: {', '.join(missing)}; {CONTINUATION_TEXT}")
 
 
-def _listed(names: list[str]) -> str:
+def _join_names(names: list[str]) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}"

@@ -38,9 +38,9 @@ from typing import Any
 from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
 from jaxnarx.settings import Identification, flatten_table, from_dict, replace_at
 
-SECTIONS = ("data", "identification", "cases", "random")
+DESCRIPTION_SECTIONS = ("data", "identification", "cases", "random")
 Case = Mapping[str, Any]
-SHORTEST = 50
+MIN_RECORD_SAMPLES = 50
 """Samples of the shortest record of a virtual engine."""
 
 
@@ -56,7 +56,7 @@ class Relatives:
     noise: float | int = 1.0
 
     def __post_init__(self):
-        for name, least in (("count", 1), ("length", SHORTEST), ("seed", 0)):
+        for name, least in (("count", 1), ("length", MIN_RECORD_SAMPLES), ("seed", 0)):
             if getattr(self, name) < least:
                 raise SpecError(
                     f"{name} must be at least {least}, got {getattr(self, name)}",
@@ -99,10 +99,10 @@ def load_sweep(path: Path) -> SweepDescription:
     with guard_reading(path, "a description of a sweep", advice="Correct it."):
         try:
             for key in table:
-                if key not in SECTIONS:
+                if key not in DESCRIPTION_SECTIONS:
                     raise SpecError(
                         f"the description has the unknown key {key!r}. "
-                        f"{suggest(key, SECTIONS)}",
+                        f"{suggest(key, DESCRIPTION_SECTIONS)}",
                         field=key,
                     )
             data = _data(_section(table, "data"))

@@ -14,7 +14,7 @@ from jaxnarx.shell.progress import count, say
 from jaxnarx.shell.sweep.description import Measured, Relatives, SweepDescription
 from jaxnarx.sweep import Fleet
 
-RECORDS = ("train", "validate", "test")
+RECORD_PARTS = ("train", "validate", "test")
 
 
 def make_fleet(description: SweepDescription) -> Fleet:
@@ -34,31 +34,31 @@ def _simulate(data: Relatives) -> Fleet:
     relatives, signals, noise = jax.random.split(jax.random.key(data.seed), 3)
     inputs = [
         engine.excite(jax.random.fold_in(signals, i), data.length)
-        for i in range(len(RECORDS))
+        for i in range(len(RECORD_PARTS))
     ]
     say(
         f"Simulating {count(data.count, 'relative')} of {data.bed}: 3 records of "
         f"{count(data.length, 'sample')} each"
     )
 
-    def simulated(n: int) -> Dataset | DataError:
+    def simulate_relative(n: int) -> Dataset | DataError:
         own: AbstractEngine = engine.perturb(
             jax.random.fold_in(relatives, n), data.spread
         )
         key = jax.random.fold_in(noise, n)
         try:
-            return own.simulate(inputs, key, noise=data.noise, names=RECORDS)
+            return own.simulate(inputs, key, noise=data.noise, names=RECORD_PARTS)
         except DataError as error:
             say(f"  engine {n:04d} is left out: {error}")
             return error
 
-    found = {f"{data.bed}-{n:04d}": simulated(n) for n in range(data.count)}
+    found = {f"{data.bed}-{n:04d}": simulate_relative(n) for n in range(data.count)}
     if not any(isinstance(d, Dataset) for d in found.values()):
         raise DataError(
             f"none of the {data.count} relatives of {data.bed} runs; use a smaller "
             "spread"
         )
-    train, validate, test = RECORDS
+    train, validate, test = RECORD_PARTS
     return Fleet.from_datasets(found, train=train, validation=validate, test=test)
 
 
@@ -82,9 +82,9 @@ def _read(data: Measured, folder: Path) -> Fleet:
 def _join(splits: Mapping[str, Split]) -> Fleet:
     """A fleet whose engines may have different numbers of records in a part."""
     first = next(iter(splits.values()))
-    parts = [p for p in RECORDS if getattr(first, p) is not None]
+    parts = [p for p in RECORD_PARTS if getattr(first, p) is not None]
     for name, split in splits.items():
-        own = [p for p in RECORDS if getattr(split, p) is not None]
+        own = [p for p in RECORD_PARTS if getattr(split, p) is not None]
         if own != parts or "train" not in own:
             raise SpecError(
                 f"every engine needs records to train, and the same parts as the "

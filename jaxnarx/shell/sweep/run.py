@@ -26,8 +26,8 @@ from jaxnarx.sweep import (
     run_sweep,
 )
 
-CSV = "table.csv"
-EVERY = 0.1
+TABLE_FILE = "table.csv"
+PROGRESS_SHARE = 0.1
 """Share of the members after which a plain line tells of progress."""
 
 
@@ -62,9 +62,9 @@ def sweep(command: Sweep) -> None:
         say(f"  note: {note}")
     _tell(solution.value, fleet, work)
     with write_together(folder) as place:
-        write_text(place / CSV, sweep_csv(solution.value))
-    say(f"\nwrote table.parquet and {CSV} to {folder}")
-    crashed = _crashed(solution.value)
+        write_text(place / TABLE_FILE, sweep_csv(solution.value))
+    say(f"\nwrote table.parquet and {TABLE_FILE} to {folder}")
+    crashed = _crashed_rows(solution.value)
     if len(crashed) == len(solution.value):
         first = crashed[0]
         raise DataError(
@@ -73,7 +73,7 @@ def sweep(command: Sweep) -> None:
         )
 
 
-def _crashed(table: SweepTable) -> list[dict[str, Any]]:
+def _crashed_rows(table: SweepTable) -> list[dict[str, Any]]:
     return [row for row in table.rows() if row["status"] == "crashed"]
 
 
@@ -81,7 +81,7 @@ def _tell(table: SweepTable, fleet: Fleet, work: IdentificationWork) -> None:
     say("\nMembers by status")
     for line in status_lines(table):
         say(line)
-    crashed = _crashed(table)
+    crashed = _crashed_rows(table)
     if len(crashed) == len(table):
         return
     if crashed:
@@ -138,7 +138,7 @@ class _Lines:
         share = row["done"] / row["of"]
         if share < self.next:
             return
-        self.next = min(share + EVERY, 1.0)
+        self.next = min(share + PROGRESS_SHARE, 1.0)
         pace = _pace(row)
         say(f"  {row['done']} of {row['of']} fits" + (f", {pace}" if pace else ""))
 

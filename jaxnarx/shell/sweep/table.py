@@ -29,7 +29,9 @@ def status_lines(table: SweepTable) -> list[str]:
 
 def best_lines(table: SweepTable, columns: Sequence[str], most: int = 20) -> list[str]:
     """Rows below one another with some of their columns, the first `most`."""
-    rows = [[_shown(row[name]) for name in columns] for row in table.rows()][:most]
+    rows = [[_format_value(row[name]) for name in columns] for row in table.rows()][
+        :most
+    ]
     lines = [list(columns), *rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(columns))]
     out = [
@@ -48,7 +50,7 @@ def _cell(value: Any) -> Any:
     return "" if value is None else value
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return "-" if value is None else "".join(c for c in str(value) if c.isprintable())

@@ -2,5 +2,5 @@
 
 from jaxnarx.shell.report.page._running import Running as Running
 from jaxnarx.shell.report.page._running import exported_cost as exported_cost
-from jaxnarx.shell.report.page._running import running as running
+from jaxnarx.shell.report.page._running import make_page as make_page
 from jaxnarx.shell.report.page.records import Budget as Budget

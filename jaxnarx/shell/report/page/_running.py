@@ -19,9 +19,20 @@ from jaxnarx.models import Network
 from jaxnarx.shell.report.page import records
 from jaxnarx.shell.report.page.records import numbers
 
-FILES = ("codec", "dom", "run", "csv", "shown", "view", "map", "try", "surface", "main")
+SCRIPT_FILES = (
+    "codec",
+    "dom",
+    "run",
+    "csv",
+    "shown",
+    "view",
+    "map",
+    "try",
+    "surface",
+    "main",
+)
 """The page's own scripts, in the order in which they stand in it."""
-OFFERED = ("Model", "HISTORY", "SAMPLE_TIME")
+MODULE_EXPORTS = ("Model", "HISTORY", "SAMPLE_TIME")
 """What the page uses of an exported module."""
 
 
@@ -45,7 +56,7 @@ class Running:
     """Operations of the exported model in words."""
 
 
-def running(report: Report) -> Running:
+def make_page(report: Report) -> Running:
     """Make the texts of a report; without records there are no scripts."""
     program = _program(report.network)
     scripts = []
@@ -54,7 +65,11 @@ def running(report: Report) -> Running:
         kept = records.choose_records(report.records)
         told = kept.told
         data = json.dumps(_values(report, kept, program), allow_nan=False)
-        scripts = [_library(), *([model_script(program)] if program else []), own()]
+        scripts = [
+            _library(),
+            *([model_script(program)] if program else []),
+            page_script(),
+        ]
     sources = " ".join(f"'sha256-{_hash(text)}'" for text in scripts) or "'none'"
     policy = (
         f"default-src 'none'; script-src {sources}; style-src 'unsafe-inline'; "
@@ -63,7 +78,7 @@ def running(report: Report) -> Running:
     return Running(
         tuple(map(Markup, scripts)),
         Markup(data.replace("<", "\\u003c")),
-        Markup(_vendored("uPlot.min.css") if scripts else ""),
+        Markup(_read_vendored("uPlot.min.css") if scripts else ""),
         policy,
         told,
         program is not None,
@@ -84,23 +99,22 @@ def model_script(program: SampleProgram) -> str:
     Nothing in it ends the script element, whatever channels are called.
     """
     text = javascript(program).replace("\nexport ", "\n")
-    text = (
-        f"const MODEL = (() => {{\n{text}\nreturn {{ {', '.join(OFFERED)} }};\n}})();"
-    )
+    exported = ", ".join(MODULE_EXPORTS)
+    text = f"const MODEL = (() => {{\n{text}\nreturn {{ {exported} }};\n}})();"
     # Of the code itself only a comparison has this sign, and a blank or = behind it.
     text = re.sub(r"<(?=[^\s=])", r"\\u003c", text)
     return text.encode("ascii", "backslashreplace").decode("ascii")
 
 
 @cache
-def own() -> str:
+def page_script() -> str:
     """The page's own scripts as one."""
-    parts = map(own_script, FILES)
+    parts = map(read_script, SCRIPT_FILES)
     return "\n".join(["(() => {", '"use strict";', *parts, "})();"])
 
 
-def own_script(name: str) -> str:
-    """One of `FILES`."""
+def read_script(name: str) -> str:
+    """One of `SCRIPT_FILES`."""
     folder = resources.files("jaxnarx.shell.report.page")
     return (folder / f"{name}.js").read_text("utf-8")
 
@@ -108,12 +122,12 @@ def own_script(name: str) -> str:
 @cache
 def _library() -> str:
     """uPlot under its licence, without the address in its first line."""
-    code = _vendored("uPlot.iife.min.js").partition("*/")[2].strip()
-    licence = _vendored("LICENSE").strip()
+    code = _read_vendored("uPlot.iife.min.js").partition("*/")[2].strip()
+    licence = _read_vendored("LICENSE").strip()
     return f"/* uPlot 1.6.32\n\n{licence}\n*/\n{code}"
 
 
-def _vendored(name: str) -> str:
+def _read_vendored(name: str) -> str:
     folder = resources.files("jaxnarx.shell.report.page") / "vendor" / "uplot"
     return (folder / name).read_text("utf-8")
 
@@ -145,7 +159,7 @@ def _values(
         "others": list(first.others),
         "records": kept.records,
         "maps": [_map(m) for m in report.maps],
-        "program": None if program is None else described(program),
+        "program": None if program is None else describe_program(program),
         "middles": [] if program is None else _middles(report, program),
     }
 
@@ -190,7 +204,7 @@ def _map(value: Any) -> dict[str, Any]:
     }
 
 
-def described(program: SampleProgram) -> dict[str, Any]:
+def describe_program(program: SampleProgram) -> dict[str, Any]:
     """Describe a program to the page, beside its script."""
     ports = {
         "inputs": program.inputs,

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-FINE, MIDDLE, COARSE = 65_000, 4_000, 1_000
+FINE_LEVELS, MIDDLE_LEVELS, COARSE_LEVELS = 65_000, 4_000, 1_000
 """Levels of a series."""
-NOTHING = 65_535
-LARGEST = 8e307
+MISSING_CODE = 65_535
+MAX_MAGNITUDE = 8e307
 """Values beyond are taken as this, so that their distances are numbers."""
 
 
@@ -26,13 +26,13 @@ def encode(
 ) -> tuple[bytes, float, float]:
     """Bytes, least value, and distance of the levels (0 of a constant series)."""
     good = np.isfinite(value)
-    value = np.clip(np.where(good, value, 0.0), -LARGEST, LARGEST)
+    value = np.clip(np.where(good, value, 0.0), -MAX_MAGNITUDE, MAX_MAGNITUDE)
     low = float(value[good].min()) if good.any() else 0.0
     high = float(value[good].max()) if good.any() else 0.0
     step = (high - low) / levels
     fine = step > np.finfo(float).tiny
     share = value / step - low / step if fine else np.zeros(len(value))
-    code = np.where(good, np.rint(share), NOTHING).astype(np.int64)
+    code = np.where(good, np.rint(share), MISSING_CODE).astype(np.int64)
     change = np.diff(code, prepend=0).astype(np.uint16)
     planes = (change & 255).astype(np.uint8), (change >> 8).astype(np.uint8)
     return b"".join(p.tobytes() for p in planes), low, step if fine else 0.0

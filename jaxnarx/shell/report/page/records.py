@@ -13,17 +13,22 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.evaluation import ShownRecord
-from jaxnarx.shell.report.page.codec import COARSE, FINE, MIDDLE, pack
+from jaxnarx.shell.report.page.codec import (
+    COARSE_LEVELS,
+    FINE_LEVELS,
+    MIDDLE_LEVELS,
+    pack,
+)
 
-BYTES = 1_900_000
+MAX_RECORDS_BYTES = 1_900_000
 """All records together, as they stand in the page."""
-BINS = 400
+ENVELOPE_BINS = 400
 """Of an envelope."""
-STRETCH = 2_000
+STRETCH_SAMPLES = 2_000
 """Samples around the largest error."""
-WIDTHS, INDICES, SWITCH = 250, 1_000, 1
+WIDTH_LEVELS, INDEX_LEVELS, SWITCH_LEVELS = 250, 1_000, 1
 """Levels of half widths, of the index and of switches."""
-FARTHEST = 8.0
+MAX_INDEX_SHOWN = 8.0
 """Larger indices are shown as this."""
 
 
@@ -35,29 +40,31 @@ class Budget:
     told: str
 
 
-def choose_records(records: Sequence[ShownRecord], limit: int = BYTES) -> Budget:
+def choose_records(
+    records: Sequence[ShownRecord], limit: int = MAX_RECORDS_BYTES
+) -> Budget:
     """Choose as much of the records as fits; the order stays."""
-    for levels in (FINE, MIDDLE):
-        whole = [_whole(record, levels) for record in records]
+    for levels in (FINE_LEVELS, MIDDLE_LEVELS):
+        whole = [_encode_whole(record, levels) for record in records]
         if _sum(whole) <= limit:
             told = f"every sample, rounded to {_share(levels)}"
             return Budget(tuple(whole), told)
-    coarse = [_whole(record, COARSE) for record in records]
+    coarse = [_encode_whole(record, COARSE_LEVELS) for record in records]
     if _sum(coarse) <= limit:
-        found, kept = _with(coarse, whole, records, limit)
-        told = f"every sample, rounded to {_share(COARSE)}"
+        found, kept = _enlarge_worst(coarse, whole, records, limit)
+        told = f"every sample, rounded to {_share(COARSE_LEVELS)}"
         if kept:
-            told += f", to 1/{MIDDLE:,} in the {kept} of {len(records)} records with "
-            told += "the largest errors"
+            told += f", to 1/{MIDDLE_LEVELS:,} in the {kept} of {len(records)} records "
+            told += "with the largest errors"
         return Budget(found, told)
-    bins = min(BINS, max(limit // (40 * max(len(records), 1)), 8))
+    bins = min(ENVELOPE_BINS, max(limit // (40 * max(len(records), 1)), 8))
     reduced = [_reduce(record, bins) for record in records]
-    found, kept = _with(reduced, coarse, records, limit)
+    found, kept = _enlarge_worst(reduced, coarse, records, limit)
     told = (
         f"every sample of the {kept} of {len(records)} records with the largest errors,"
-        f" rounded to {_share(COARSE)}; of the others the least and largest value of "
-        f"{bins} stretches of time, and up to {STRETCH:,} samples around the largest "
-        "error"
+        f" rounded to {_share(COARSE_LEVELS)}; of the others the least and largest "
+        f"value of {bins} stretches of time, and up to {STRETCH_SAMPLES:,} samples "
+        "around the largest error"
     )
     return Budget(found, told)
 
@@ -66,7 +73,7 @@ def _share(levels: int) -> str:
     return f"1/{levels:,} of each signal's range"
 
 
-def _with(
+def _enlarge_worst(
     small: Sequence[dict[str, Any]],
     large: Sequence[dict[str, Any]],
     records: Sequence[ShownRecord],
@@ -111,7 +118,7 @@ def _spread(record: ShownRecord, o: int) -> float:
     return spread if spread > 0 and np.isfinite(spread) else 1.0
 
 
-def _about(record: ShownRecord) -> dict[str, Any]:
+def _describe_record(record: ShownRecord) -> dict[str, Any]:
     errors = [record.error(o) for o in range(record.simulated.shape[1])]
     begin = record.begin
     return {
@@ -133,8 +140,8 @@ def numbers(value: Any) -> Any:
     return float(value) if np.isfinite(value) else None
 
 
-def _whole(record: ShownRecord, levels: int) -> dict[str, Any]:
-    return _about(record) | {"data": pack(_series(record), levels), "bins": 0}
+def _encode_whole(record: ShownRecord, levels: int) -> dict[str, Any]:
+    return _describe_record(record) | {"data": pack(_series(record), levels), "bins": 0}
 
 
 def _series(
@@ -142,18 +149,18 @@ def _series(
 ) -> Iterator[tuple[str, int, Float[np.ndarray, " samples"]]]:
     """Every series by its name: a letter, and the number of the channel or output."""
     for s, value in enumerate(record.signals.values()):
-        yield f"u{s}", FINE, value[part]
+        yield f"u{s}", FINE_LEVELS, value[part]
     for o in range(record.simulated.shape[1]):
-        yield f"y{o}", FINE, record.simulated[part, o]
-        yield f"s{o}", SWITCH, record.scored[part, o].astype(float)
-        yield f"l{o}", SWITCH, record.limited[part, o].astype(float)
+        yield f"y{o}", FINE_LEVELS, record.simulated[part, o]
+        yield f"s{o}", SWITCH_LEVELS, record.scored[part, o].astype(float)
+        yield f"l{o}", SWITCH_LEVELS, record.limited[part, o].astype(float)
         if record.lower is not None and record.upper is not None:
             half = 0.5 * record.upper[part, o] - 0.5 * record.lower[part, o]
-            yield f"h{o}", WIDTHS, half
+            yield f"h{o}", WIDTH_LEVELS, half
         for n, run in enumerate(record.others.values()):
-            yield f"o{n}.{o}", FINE, run[part, o]
+            yield f"o{n}.{o}", FINE_LEVELS, run[part, o]
     if record.index is not None:
-        yield "i", INDICES, np.minimum(record.index[part], FARTHEST)
+        yield "i", INDEX_LEVELS, np.minimum(record.index[part], MAX_INDEX_SHOWN)
 
 
 def _reduce(record: ShownRecord, bins: int) -> dict[str, Any]:
@@ -169,11 +176,11 @@ def _reduce(record: ShownRecord, bins: int) -> dict[str, Any]:
         )
         table.append((name, levels, np.stack([low, high], axis=1).ravel()))
     at = _stretch(record)
-    return _about(record) | {
-        "data": pack(table, COARSE),
+    return _describe_record(record) | {
+        "data": pack(table, COARSE_LEVELS),
         "bins": bins,
         "first": at.start,
-        "stretch": pack(_series(record, at), FINE),
+        "stretch": pack(_series(record, at), FINE_LEVELS),
         "length": at.stop - at.start,
     }
 
@@ -182,12 +189,12 @@ def _residuals(
     record: ShownRecord,
 ) -> Iterator[tuple[str, int, Float[np.ndarray, " samples"]]]:
     for o in range(record.simulated.shape[1]):
-        yield f"r{o}", FINE, record.residual(o)
+        yield f"r{o}", FINE_LEVELS, record.residual(o)
 
 
 def _stretch(record: ShownRecord) -> slice:
     """Samples around the largest error of any output, in shares of its spread."""
-    size = min(STRETCH, len(record))
+    size = min(STRETCH_SAMPLES, len(record))
     at, most = 0, -1.0
     for o in range(record.simulated.shape[1]):
         off = np.abs(np.nan_to_num(record.residual(o)))

@@ -1,4 +1,4 @@
-"""`jaxnarx leaderboard` and `jaxnarx take`: what a search has found."""
+"""`jaxnarx leaderboard` and `jaxnarx choose`: what a search has found."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -13,11 +13,12 @@ from jaxnarx.identification import (
     sentences,
 )
 from jaxnarx.models import Network, combine_outputs, drop_outputs
-from jaxnarx.shell.commands.search import Leaderboard, Take
+from jaxnarx.shell.commands.search import Choose, Leaderboard
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.exit_code import exit_code_of, require_finite
-from jaxnarx.shell.messages import first_lines, next_command, quote_command, say
-from jaxnarx.shell.output import RUN, run_folder
+from jaxnarx.shell.messages import first_lines, say
+from jaxnarx.shell.next_command import propose_simulation, tell_next
+from jaxnarx.shell.output import RUN_FILES, run_folder
 from jaxnarx.shell.search.folder import (
     Origin,
     provenance,
@@ -28,7 +29,7 @@ from jaxnarx.shell.search.folder import (
     summary,
     write_run,
 )
-from jaxnarx.shell.search.leaderboard import LEGEND, table
+from jaxnarx.shell.search.leaderboard import TABLE_LEGEND, table
 
 
 def show(command: Leaderboard) -> int:
@@ -46,11 +47,11 @@ def show(command: Leaderboard) -> int:
         for sentence in sentences(board, output):
             say(sentence)
     if len(board):
-        say("\n" + "\n".join(LEGEND))
+        say("\n" + "\n".join(TABLE_LEGEND))
     return 0
 
 
-def take(command: Take, typed: str) -> int:
+def choose(command: Choose, typed: str) -> int:
     """Write the model of other candidates, and the report on it."""
     require_finite("require_fit", command.require_fit)
     found = read_search(Path(command.run))
@@ -62,16 +63,16 @@ def take(command: Take, typed: str) -> int:
     told["search"] = about["search"] = str(found.path)
     numbers = "-".join(str(row.number) for row in rows)
     out = command.out or f"{str(found.path).rstrip('/')}-{numbers}"
-    with run_folder(out, "", force=command.force, marks=RUN) as folder:
+    with run_folder(out, "", force=command.force, marks=RUN_FILES) as folder:
         train, validation = search_records(split)
         parts = scored_parts(train, validation, split.test, network)
         network = attach_domain_and_intervals(
             apply_release_limits(network), parts["train"]
         )
-        taken = {row.output: row.number for row in rows}
-        result = score_model(network, parts, found, taken, told)
-        following = ["jaxnarx", "simulate", str(folder / RUN[0]), "new_run.csv"]
-        result = dataclasses.replace(result, next_command=quote_command(following))
+        chosen = {row.output: row.number for row in rows}
+        result = score_model(network, parts, found, chosen, told)
+        following = propose_simulation(str(folder / RUN_FILES[0]))
+        result = dataclasses.replace(result, next_command=following)
         files = write_run(folder, network, result, about)
     say("\n" + first_lines(result))
     say("\n" + summary(result))
@@ -79,7 +80,7 @@ def take(command: Take, typed: str) -> int:
         say(sentences(found.leaderboard, row.output, row.number)[0])
     say(f"\nwrote {', '.join(files)} to {folder}")
     say(f"\nOpen {folder / 'report.html'}")
-    next_command(*following)
+    tell_next(following)
     return exit_code_of(result, command.require_fit)
 
 
@@ -95,7 +96,7 @@ def _rows(found: SearchFolder, numbers: Sequence[int]) -> list[Candidate]:
         if row.output in rows:
             raise SpecError(
                 f"candidates {rows[row.output].number} and {number} are both of "
-                f"{row.output}; take one for each output"
+                f"{row.output}; choose one for each output"
             )
         rows[row.output] = row
     return list(rows.values())
@@ -107,10 +108,10 @@ def _network(found: SearchFolder, rows: Sequence[Candidate]) -> Network:
     return drop_outputs(whole)
 
 
-def _origin(command: Take, found: SearchFolder) -> Origin:
+def _origin(command: Choose, found: SearchFolder) -> Origin:
     """The records; DataFileError where the ones of the search are gone."""
     if command.description is not None:
-        return Origin.of(command.description, command.root)
+        return Origin.from_options(command.description, command.root)
     origin = read_origin(found.path)
     if not Path(origin.description).is_file():
         raise SpecError(

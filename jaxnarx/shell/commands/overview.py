@@ -1,0 +1,48 @@
+"""What `jaxnarx --help` says: all commands by task, on one screen. No jax here."""
+
+TASK_COMMANDS = {
+    "data": {
+        "describe": "Write the description of measurement files.",
+        "check": "Find what may spoil a model; suggest lags.",
+        "prepare": "Filter, resample, detrend and scale records.",
+        "simulate-engine": "Simulate a virtual engine and write its records.",
+    },
+    "identify": {
+        "demo": "Identify a virtual engine; needs no files.",
+        "identify": "Search for a model, or fit one method.",
+        "leaderboard": "List the candidates of a search.",
+        "choose": "Choose another candidate of a search.",
+        "invert": "Identify the inverse: from outputs to commands.",
+    },
+    "judge": {
+        "report": "Score a model on records and give a verdict.",
+        "plan": "Plan the next test: the most informative record.",
+    },
+    "use": {
+        "simulate": "Run a model on new files.",
+        "export": "Write C, FMU, Python, JavaScript, MATLAB, DCM or A2L.",
+        "import-dcm": "Read changed parameters back into a model.",
+    },
+    "research": {
+        "sweep": "Identify many engines under many settings.",
+    },
+}
+"""Every command in one line, under the task that it belongs to."""
+OVERVIEW_HEAD = """usage: jaxnarx COMMAND [OPTIONS]
+
+Identify engines from measurements as NARX networks with regional models.
+"""
+OVERVIEW_FOOT = """
+`jaxnarx COMMAND --help` has options and examples; `jaxnarx --version`.
+Exit codes: 0 done, 1 model not usable or fit below --require-fit, 2 usage,
+3 data or model files, 70 defect, 130 interrupted, 143 ended by SIGTERM."""
+
+
+def overview() -> str:
+    """The help of the whole program, less than 24 lines of 80 columns."""
+    rows = [
+        f"{task * (n == 0):9s} {command:16s} {line}"
+        for task, commands in TASK_COMMANDS.items()
+        for n, (command, line) in enumerate(commands.items())
+    ]
+    return "\n".join([OVERVIEW_HEAD, *rows, OVERVIEW_FOOT])
