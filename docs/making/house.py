@@ -16,7 +16,14 @@ FLOORS = {
     "1 arrays": ["arrays", "metrics"],
     "ground": [
         *("solution", "settings", "formatting", "docstrings", "extensions"),
-        *("checks", "child_process", "files", "argument_checks", "errors"),
+        *(
+            "checks",
+            "child_process",
+            "deprecation",
+            "files",
+            "argument_checks",
+            "errors",
+        ),
     ],
 }
 """The rooms of every floor, the highest first; a test holds the imports to it."""
