@@ -29,7 +29,8 @@ VERBS = {n: v for n in jnx.__all__ if inspect.isfunction(v := getattr(jnx, n))} 
     for room, names in ROOMS.items()
     for name in names.split() or dir(getattr(jnx, room))
     if name not in jnx.__all__
-    if inspect.isfunction(verb := getattr(getattr(jnx, room), name))
+    if not name.startswith("__")
+    and inspect.isfunction(verb := getattr(getattr(jnx, room), name))
 }
 
 
