@@ -29,7 +29,7 @@ VERBS = {n: v for n in jnx.__all__ if inspect.isfunction(v := getattr(jnx, n))} 
     for room, names in ROOMS.items()
     for name in names.split() or dir(getattr(jnx, room))
     if name not in jnx.__all__
-    if not name.startswith("__")
+    if not name.startswith("_")
     and inspect.isfunction(verb := getattr(getattr(jnx, room), name))
 }
 

@@ -174,7 +174,7 @@ def place(tmp_path_factory) -> Iterator[Path]:
 
 
 def at(value: Any, path: str) -> Any:
-    """What a key of the page leads to; IndexError or KeyError where nothing is."""
+    """The value that a key of the page leads to; else IndexError or KeyError."""
     for word in path.split("."):
         name = word.removesuffix("[]")
         value = next(iter(value.values())) if name.startswith("<") else value[name]

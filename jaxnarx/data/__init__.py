@@ -69,7 +69,7 @@ from jaxnarx.data.record import Record as Record
 from jaxnarx.data.runs import Run as Run
 from jaxnarx.data.scaling import gains as gains
 from jaxnarx.data.scaling import scaling_unit as scaling_unit
-from jaxnarx.deprecation import find_old
+from jaxnarx.deprecation import find_old as _find_old
 
 if TYPE_CHECKING:
     from jaxnarx.data.batch import Batch as Batch
@@ -136,7 +136,7 @@ _OLD_NAMES = {"in_units": "convert_units", "shortened": "thin_records"}
 
 def __getattr__(name: str) -> Any:
     if name not in _ON_ARRAYS:
-        return find_old(__name__, name, _OLD_NAMES)
+        return _find_old(__name__, name, _OLD_NAMES)
     from jaxnarx.data import batch
 
     return getattr(batch, name)

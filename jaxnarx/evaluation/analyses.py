@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from jaxnarx.evaluation.input_densities import input_densities
+from jaxnarx.evaluation._input_densities import input_densities
 from jaxnarx.evaluation.section import FreeRun, Section
 from jaxnarx.extensions import Registry, load_packages
 

@@ -172,8 +172,7 @@ def _runs(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
 
 
 def _judgeable(row: Row) -> VerdictRule:
-    """Whether the main part has samples of an output that moves; where its records are
-    too short, a note says so."""
+    """Whether the main part has samples of an output that moves."""
     where, constant = f"{row.output} on {row.part}", row.status == "constant output"
     samples = float(0 if constant else row.samples)
     rule = VerdictRule(
@@ -182,7 +181,7 @@ def _judgeable(row: Row) -> VerdictRule:
     if constant:
         text = f"{where} is constant: no judgement of it"
         return rule.explain(LIMITED, text, "test")
-    if row.status == "no samples":
+    if not rule.passed:
         text = f"{where} has no valid sample to score"
         return rule.explain(UNUSABLE, text, "records")
     return rule
@@ -269,7 +268,9 @@ def _records(rows: list[Row]) -> Iterator[VerdictRule]:
             if r.rmse is not None and r.nrmse
         }
         single = [
-            (r.rmse, r) for r in own if r.record != POOLED_NAME and r.rmse is not None
+            (r.rmse, r)
+            for r in own
+            if r.record != POOLED_NAME and r.rmse is not None and r.samples
         ]
         if len(single) < 3:
             continue

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from jaxnarx.deprecation import find_old
+from jaxnarx.deprecation import find_old as _find_old
 from jaxnarx.models._assemble import OUTPUT_MARGIN as OUTPUT_MARGIN
 from jaxnarx.models._assemble import assemble as assemble
 from jaxnarx.models._assemble import global_model as global_model
@@ -192,4 +192,4 @@ __all__ = [
 if not TYPE_CHECKING:
 
     def __getattr__(name):
-        return find_old(__name__, name, {"fed_back": "fed_back_variables"})
+        return _find_old(__name__, name, {"fed_back": "fed_back_variables"})

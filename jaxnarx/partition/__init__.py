@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from jaxnarx.deprecation import find_old
+from jaxnarx.deprecation import find_old as _find_old
 from jaxnarx.partition._grow import grow
 from jaxnarx.partition._lolimot import lolimot, validity_of_boxes
 from jaxnarx.partition.closed_form.model import ClosedForm as ClosedForm
@@ -43,4 +43,4 @@ __all__ = [
 if not TYPE_CHECKING:
 
     def __getattr__(name):
-        return find_old(__name__, name, {"scattered": "scatter_partition"})
+        return _find_old(__name__, name, {"scattered": "scatter_partition"})

@@ -1,4 +1,4 @@
-"""What commands tell people: lines, warnings, commands, whose fault it is."""
+"""Messages of the commands: lines, warnings, next commands, whose fault it is."""
 
 import os
 import shlex

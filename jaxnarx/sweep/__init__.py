@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from jaxnarx.data import Fleet as Fleet
-from jaxnarx.deprecation import find_old
+from jaxnarx.deprecation import find_old as _find_old
 from jaxnarx.sweep.analysis import Comparison as Comparison
 from jaxnarx.sweep.analysis import Interval as Interval
 from jaxnarx.sweep.analysis import SweepTable as SweepTable
@@ -28,4 +28,4 @@ from jaxnarx.sweep.work import Work as Work
 if not TYPE_CHECKING:
 
     def __getattr__(name):
-        return find_old(__name__, name, {"so_far": "describe_progress"})
+        return _find_old(__name__, name, {"so_far": "describe_progress"})

@@ -6,7 +6,7 @@ from problems import data, fitted, records
 
 import jaxnarx as jnx
 from jaxnarx.evaluation import FreeRun
-from jaxnarx.evaluation.input_densities import BINS, input_densities
+from jaxnarx.evaluation._input_densities import BINS, input_densities
 
 
 def run_of(u, training) -> FreeRun:

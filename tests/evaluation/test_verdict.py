@@ -302,3 +302,18 @@ def test_json_has_the_rules_beside_the_keys_it_had():
     (failed,) = [rule for rule in found["rules"] if rule["passed"] is False][:1]
     assert list(failed) == "name output where value sense limit passed".split()
     json.dumps(found, allow_nan=False)
+
+
+@pytest.mark.parametrize("status", ["no samples", "too short"])
+def test_a_main_part_without_samples_is_no_good_model(status):
+    found = made(row("test", status=status, samples=0, nrmse=0.0)).verdict
+    assert not found.usable
+    assert found.findings[0].text == "T on test has no valid sample to score"
+    (rule,) = [one for one in found.rules if one.name == "samples to judge by"]
+    assert rule.passed is False and rule.reason == found.findings[0]
+
+
+def test_a_record_without_samples_is_no_worst_record():
+    rows = [row("test")] + [row("test", f"r{n}") for n in range(3)]
+    short = row("test", "r9", status="too short", samples=0, nrmse=float("inf"))
+    assert made(*rows, short).verdict.findings == made(*rows).verdict.findings

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require
 from jaxnarx.data import Channel, Channels, Dataset, gains, stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.linear.state_space.model import StateSpace
@@ -104,7 +105,17 @@ def _coefficients(
 
 @guard_arguments
 def increase_degree(network: Network, degree: int) -> Network:
-    """The same network with the products up to a higher degree, coefficients zero."""
+    """The same network with the products up to a higher degree, coefficients zero.
+
+    SpecError where the network has products of a higher degree already.
+    """
+    factors = [np.asarray(model.local.factor) for model in network.models]
+    reached = max(int(np.count_nonzero(f, axis=1).max(initial=0)) for f in factors)
+    require(
+        degree >= reached,
+        "degree",
+        f"the network has products of degree {reached}; degree {degree} is lower",
+    )
     table = products(len(network.variables), degree)
     place = {tuple(sorted(row)): n for n, row in enumerate(table.tolist())}
     models = []
@@ -113,8 +124,8 @@ def increase_degree(network: Network, degree: int) -> Network:
         theta = np.zeros(len(table))
         dense = np.asarray(local.dense())[0]
         for row, value in zip(np.asarray(local.factor).tolist(), dense, strict=True):
-            full = tuple(sorted([0] * (degree - len(row)) + row))
-            theta[place[full]] += value
+            own = sorted(filter(None, row))
+            theta[place[(*[0] * (degree - len(own)), *own)]] += value
         models.append(global_model(table, theta))
     return dataclasses.replace(network, models=tuple(models))
 

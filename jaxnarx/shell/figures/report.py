@@ -23,7 +23,6 @@ from jaxnarx.shell.figures.style import (
     Powers,
     canvas,
     plain_text,
-    tone,
     use_style,
 )
 
@@ -277,24 +276,6 @@ def cumulated_errors(value: Any) -> Figure:
         axes.set(xlabel="size of the error" + unit, ylabel="samples up to it [%]")
         axes.set_xlim(0, value.largest or 1.0)
         axes.set_ylim(0, 101)
-    return figure
-
-
-def chart(value: Any) -> Figure:
-    """The curves of a `Chart` of a section, with a legend where there are several."""
-    with use_style():
-        figure, (axes,) = canvas(9.0, 2.8)
-        for n, curve in enumerate(value.curves):
-            axes.plot(
-                curve.x, curve.y, color=tone(n), lw=1, label=plain_text(curve.name)
-            )
-        axes.set(xlabel=plain_text(value.x_label), ylabel=plain_text(value.y_label))
-        for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
-            if name in value.log:
-                axes.set(**{f"{name}scale": "log"})
-                axis.set_major_formatter(Powers())
-        if len(value.curves) > 1:
-            axes.legend()
     return figure
 
 

@@ -276,7 +276,7 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
     }
     for name, section in report.sections.items():
         drawn[f"section-{name}"] = [
-            (one.title, figures.report.chart(one)) for one in section.charts
+            (one.title, figures.sections.draw_chart(one)) for one in section.charts
         ]
     if report.diagnostics is not None:
         drawn["diagnostics"] = figures.residuals.figures(report.diagnostics.outputs)

@@ -83,6 +83,8 @@ def test_products_are_all_there_and_begin_at_nothing():
         for high, low in zip(full.equations(), linear.equations(), strict=True):
             left = {name: c for name, c in high["terms"] if c != 0}
             assert left == {name: c for name, c in low["terms"] if c != 0}
+    with pytest.raises(SpecError, match="has products of degree 3; degree 2 is lower"):
+        increase_degree(increase_degree(linear, 3), 2)
     table = {tuple(sorted(row)) for row in products(3, 2).tolist()}
     assert len(table) == len(products(3, 2)) == 10
 
