@@ -3,7 +3,6 @@
 import os
 import subprocess
 import tempfile
-import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -64,13 +63,19 @@ def test_a_temporary_folder_goes_with_its_owner(tmp_path, monkeypatch):
     """However that ends; that of a killed process is cleared by the next."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(files, "FRESH_FOLDER_SECONDS", 0.0)
-    code = "from jaxnarx.files import TemporaryFolder as T; t = T(); input()"
+    code = (
+        "from jaxnarx.files import TemporaryFolder as T; t = T(); print(1, flush=True)"
+    )
+    code += "; input()"
     environment = python_environment({"TMPDIR": str(tmp_path)})
     with subprocess.Popen(
-        python_command(code), env=environment, stdin=subprocess.PIPE
+        python_command(code),
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
     ) as other:
-        while not list(tmp_path.iterdir()):
-            time.sleep(0.01)
+        assert other.stdout is not None
+        assert other.stdout.readline().strip() == b"1"  # it has made and locked it
         (theirs,) = tmp_path.iterdir()
         with TemporaryFolder() as ours:
             assert set(tmp_path.iterdir()) == {ours, theirs}

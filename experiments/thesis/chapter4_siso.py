@@ -103,6 +103,7 @@ import jaxnarx as jnx
 from jaxnarx.engines import pfi_siso_records
 from jaxnarx.evaluation.residual_tests import Diagnostics, diagnose
 from jaxnarx.linear import LinearModel, NonlinearityCheck, Spectra
+from jaxnarx.shell.figures.draw import draw
 from jaxnarx.shell.figures.residuals import correlations
 from jaxnarx.shell.figures.style import save
 
@@ -230,7 +231,7 @@ def measured(seed: int, *, smoke: bool, folder: Path) -> dict[str, Any]:
             "coherence": draw_coherence(spectrum, check),
             "orders": draw_orders(search),
             "algorithms": draw_algorithms(data, ways),
-            "diagnostics": correlations(tests[STRUCTURE][0].outputs[0]),
+            "diagnostics": draw(correlations(tests[STRUCTURE][0].outputs[0])),
             **of_models(data, made, spectrum),
         }
         for name, figure in drawn.items():

@@ -12,6 +12,7 @@ from inverse_spark import slope
 
 import jaxnarx as jnx
 from jaxnarx.evaluation.regions import describe_partition
+from jaxnarx.shell.figures.draw import draw
 from jaxnarx.shell.figures.partition import partition
 from jaxnarx.shell.figures.style import save
 from jaxnarx.shell.figures.tree import tree
@@ -33,7 +34,8 @@ def draw(case: Case, folder: Path, name: str, points: int) -> None:
         case.direct, start=case.grown, data=turned(case.data[:GUARD])
     )
     if "THR" in found:
-        figures |= {"regions": partition(found["THR"]), "tree": tree(found["THR"])}
+        entry = found["THR"]
+        figures |= {"regions": draw(partition(entry)), "tree": draw(tree(entry))}
     for what, figure in figures.items():
         save(figure, folder / f"{name}_{what}.png")
 

@@ -21,6 +21,24 @@ from jaxnarx.evaluation._steady_states import response_surface as response_surfa
 from jaxnarx.evaluation._steady_states import steady_states as steady_states
 from jaxnarx.evaluation.analyses import ANALYSES as ANALYSES
 from jaxnarx.evaluation.analyses import Analysis as Analysis
+from jaxnarx.evaluation.charts import Band as Band
+from jaxnarx.evaluation.charts import Bars as Bars
+from jaxnarx.evaluation.charts import Cells as Cells
+from jaxnarx.evaluation.charts import Chart as Chart
+from jaxnarx.evaluation.charts import Colour as Colour
+from jaxnarx.evaluation.charts import Curve as Curve
+from jaxnarx.evaluation.charts import Mark as Mark
+from jaxnarx.evaluation.charts import Number as Number
+from jaxnarx.evaluation.charts import Picture as Picture
+from jaxnarx.evaluation.charts import Range as Range
+from jaxnarx.evaluation.charts import RegionMap as RegionMap
+from jaxnarx.evaluation.charts import Span as Span
+from jaxnarx.evaluation.charts import StraightLine as StraightLine
+from jaxnarx.evaluation.charts import Text as Text
+from jaxnarx.evaluation.charts import Values as Values
+from jaxnarx.evaluation.charts import ellipse as ellipse
+from jaxnarx.evaluation.charts import floats as floats
+from jaxnarx.evaluation.charts import uprights as uprights
 from jaxnarx.evaluation.comparison import ComparedRecord as ComparedRecord
 from jaxnarx.evaluation.comparison import ModelComparison as ModelComparison
 from jaxnarx.evaluation.comparison import compare as compare
@@ -45,8 +63,6 @@ from jaxnarx.evaluation.residual_tests.correlations import (
 from jaxnarx.evaluation.residual_tests.diagnostics import HOW_ESTIMATED as HOW_ESTIMATED
 from jaxnarx.evaluation.rows import Row as Row
 from jaxnarx.evaluation.rules import judge as judge
-from jaxnarx.evaluation.section import Chart as Chart
-from jaxnarx.evaluation.section import Curve as Curve
 from jaxnarx.evaluation.section import FreeRun as FreeRun
 from jaxnarx.evaluation.section import Section as Section
 from jaxnarx.evaluation.sizes import SizeErrors as SizeErrors
@@ -64,12 +80,20 @@ from jaxnarx.evaluation.verdict import Verdict as Verdict
 from jaxnarx.evaluation.verdict import VerdictRule as VerdictRule
 
 __all__ = [
-    "Section",
-    "FreeRun",
-    "Curve",
-    "Chart",
-    "Analysis",
     "ANALYSES",
+    "Analysis",
+    "Band",
+    "Bars",
+    "Cells",
+    "Chart",
+    "Curve",
+    "FreeRun",
+    "Picture",
+    "RegionMap",
+    "StraightLine",
+    "Section",
+    "Span",
+    "Text",
     "Cost",
     "Diagnostics",
     "ErrorMap",

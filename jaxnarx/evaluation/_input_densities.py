@@ -4,7 +4,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset
-from jaxnarx.evaluation.section import Chart, Curve, FreeRun, Section
+from jaxnarx.evaluation.charts import Chart, Curve
+from jaxnarx.evaluation.section import FreeRun, Section
 from jaxnarx.formatting import list_names
 
 BINS = 40

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Channel, Dataset
+from jaxnarx.evaluation.charts import Chart, Picture
 from jaxnarx.evaluation.rows import ScoredSamples, collect
 from jaxnarx.evaluation.table import number, strict
 from jaxnarx.formatting import align_columns, page
@@ -21,27 +22,6 @@ from jaxnarx.simulation import simulate
 
 Cell = str | int | float | None
 """A text stands left, a number right; None is shown as a dash."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Curve:
-    """A line of a chart; what is not finite is a gap."""
-
-    name: str
-    x: Float[np.ndarray, " points"]
-    y: Float[np.ndarray, " points"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Chart:
-    """Curves over one pair of axes; `log` names the axes that are logarithmic, such as
-    `"y"` or `"xy"`."""
-
-    curves: tuple[Curve, ...]
-    x_label: str
-    y_label: str
-    title: str = ""
-    log: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +35,7 @@ class Section:
     sentences: tuple[str, ...] = ()
     header: tuple[str, ...] = ()
     rows: tuple[tuple[Cell, ...], ...] = ()
-    charts: tuple[Chart, ...] = ()
+    charts: tuple[Chart | Picture, ...] = ()
     note: str = ""
     data: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 

@@ -28,8 +28,6 @@ from jaxnarx.settings import (
     replace_at,
 )
 from jaxnarx.shell.commands import Invert
-from jaxnarx.shell.figures.style import save as save_figure
-from jaxnarx.shell.figures.tracking import draw_tracking
 from jaxnarx.shell.identify import Teller
 from jaxnarx.shell.messages import count, say
 from jaxnarx.shell.output import write_report, write_text, write_together
@@ -126,6 +124,9 @@ def invert(
         save(trained, place / MODEL_FILE, about={"command": typed})
         write_report(report(trained, backwards, provenance={"command": typed}), place)
         write_text(place / TRACKING_FILE, json.dumps(text, allow_nan=False, indent=1))
+        from jaxnarx.shell.figures.style import save as save_figure
+        from jaxnarx.shell.figures.tracking import draw_tracking
+
         save_figure(
             draw_tracking(followed, float(forward.sample_time)), place / FIGURE_FILE
         )

@@ -22,12 +22,18 @@ from jaxnarx.identification import Leaderboard, describe
 from jaxnarx.inverse import Tracking
 from jaxnarx.models import Network
 from jaxnarx.selection import Selection, criteria_of
-from jaxnarx.shell import figures
+from jaxnarx.shell.figures import comparison, steady_states
+from jaxnarx.shell.figures import partition as regions
+from jaxnarx.shell.figures import relevance as worth
+from jaxnarx.shell.figures import report as figures
+from jaxnarx.shell.figures import residuals as tests
+from jaxnarx.shell.figures.draw import draw
 from jaxnarx.shell.figures.leaderboard import COST_LABELS, error_over_operations
 from jaxnarx.shell.figures.linear import bode, poles, step_responses
 from jaxnarx.shell.figures.local_models import local_models
 from jaxnarx.shell.figures.style import save
 from jaxnarx.shell.figures.tracking import draw_tracking
+from jaxnarx.shell.figures.tree import tree
 from jaxnarx.solution import Solution
 
 __all__ = [
@@ -67,7 +73,7 @@ def partition(
 
     `start`, the network before its refinement, stands beside it; `data` lie under it.
     """
-    return figures.partition.partition(_entry(network, data, start, output))
+    return draw(regions.partition(_entry(network, data, start, output)))
 
 
 def gates(
@@ -83,7 +89,7 @@ def gates(
             "the regions are no tree and have no gates; jnx.plot.partition draws them",
             field="network",
         )
-    return figures.tree.tree(entry)
+    return draw(tree(entry))
 
 
 def _entry(network: Network, data, start, output: str | None) -> dict[str, Any]:
@@ -120,7 +126,7 @@ def free_run(
     if trace is None:
         raise SpecError(f"no sample of {name} can be scored", field="data")
     error = "diverged" if trace.rmse is None else f"RMSE {trace.rmse:.4g}"
-    return figures.report.draw_free_run(
+    picture = figures.draw_free_run(
         trace.time,
         trace.measured,
         trace.simulated,
@@ -130,6 +136,7 @@ def free_run(
         limited=trace.limited,
         scored=trace.scored,
     )
+    return draw(picture)
 
 
 def compare(
@@ -147,16 +154,14 @@ def compare(
     """
     found = evaluation.compare(models, data, output=output)
     if record is None:
-        return figures.comparison.draw_comparison(
-            found, [found.worst(p) for p in found.parts]
-        )
+        return comparison.draw_comparison(found, [found.worst(p) for p in found.parts])
     named = [one for one in found.records if one.record == record]
     if not named:
         names = list(dict.fromkeys(one.record for one in found.records))
         raise SpecError(
             f"no record {record!r}. {suggest(record, names)}", field="record"
         )
-    return figures.comparison.draw_comparison(found, named)
+    return comparison.draw_comparison(found, named)
 
 
 def tracking(
@@ -185,11 +190,12 @@ def selection_path(selection: Selection, *, output: str | None = None) -> Figure
     o = names.index(_require_output(output, names))
     count, table = selection.size(o), criteria_of(selection, o)
     shown = (("AICc", "aicc"), ("BIC", "bic"), ("FPE", "fpe"))
-    return figures.report.selection_path(
+    picture = figures.selection_path(
         selection.names_of(names[o]),
         selection.err[o, :count],
         criteria={label: table[key] for label, key in shown},
     )
+    return draw(picture)
 
 
 def errors_by_size(
@@ -205,7 +211,7 @@ def errors_by_size(
     """
     names = selection.output_names
     found = evaluation.errors_by_size(selection, data)
-    return figures.comparison.draw_errors_by_size(
+    return comparison.draw_errors_by_size(
         found[names.index(_require_output(output, names))]
     )
 
@@ -219,7 +225,7 @@ def leaderboard(
     """
     choice(by, tuple(COST_LABELS), "by")
     entry = describe(board, _require_output(output, board.outputs))
-    return error_over_operations(entry, by=by)
+    return draw(error_over_operations(entry, by=by))
 
 
 RESIDUAL_VIEWS = ("lags", "operating points", "free run")
@@ -248,15 +254,15 @@ def residuals(
                 f"the free run of {name} was not tested: {solution.status_name}",
                 field="data",
             )
-        return figures.residuals.free_run(free[0])
+        return draw(tests.free_run(free[0]))
     found = diagnose(network, data).value.outputs
     one = next(d for d in found if d.output.name == name)
     if over == "lags":
-        return figures.residuals.correlations(one)
-    figure = figures.residuals.operating_points(one)
-    if figure is None:
+        return draw(tests.correlations(one))
+    picture = tests.operating_points(one)
+    if picture is None:
         raise SpecError("no variable moves over these data", field="over")
-    return figure
+    return draw(picture)
 
 
 def error_map(
@@ -271,7 +277,7 @@ def error_map(
     By default the variables that schedule; see `jnx.evaluation.error_map`.
     """
     found = evaluation.error_map(network, data, over=over, output=output)
-    return figures.report.error_map(found)
+    return draw(figures.error_map(found))
 
 
 def relevance(
@@ -288,7 +294,7 @@ def relevance(
     change places.
     """
     found = evaluation.relevance(network, data, how=how, key=key, block=block)
-    return figures.relevance.relevance(found)
+    return worth.relevance(found)
 
 
 def intersections(
@@ -307,7 +313,7 @@ def intersections(
     found = evaluation.intersections(
         network, data, at=at, over=over, uncertainty=uncertainty
     )
-    return figures.steady_states.intersections(found)
+    return steady_states.intersections(found)
 
 
 def response_surface(
@@ -323,7 +329,7 @@ def response_surface(
     found = evaluation.response_surface(
         network, data, over, output=output, at=at, cells=cells
     )
-    return figures.steady_states.response_surface(found)
+    return steady_states.response_surface(found)
 
 
 def _require_output(output: str | None, names: list[str]) -> str:

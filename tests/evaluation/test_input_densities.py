@@ -5,7 +5,7 @@ import pytest
 from problems import data, fitted, records
 
 import jaxnarx as jnx
-from jaxnarx.evaluation import FreeRun
+from jaxnarx.evaluation import Chart, Curve, FreeRun
 from jaxnarx.evaluation._input_densities import BINS, input_densities
 
 
@@ -32,8 +32,11 @@ def test_table_is_ranges_share_outside_and_overlap():
         "Values of u1 are spread differently in test data than in training.",
     )
     (chart,) = section.charts
-    assert [curve.name for curve in chart.curves] == ["training", "test"]
-    for curve in chart.curves:
+    assert isinstance(chart, Chart)
+    curves = [mark for mark in chart.marks if isinstance(mark, Curve)]
+    assert [curve.name for curve in curves] == ["training", "test"]
+    for curve in curves:
+        assert isinstance(curve.x, np.ndarray)
         assert len(curve.x) == 2 * BINS
         assert np.sum(curve.y) == pytest.approx(200.0)  # every bin has two points
 

@@ -8,7 +8,6 @@ from jaxnarx.data import Channel, Dataset
 from jaxnarx.excitation import assess
 from jaxnarx.shell.figures import style
 from jaxnarx.shell.figures.excitation import excitation
-from jaxnarx.shell.figures.inline import inline_svg
 
 EVIL = "<script>alert(1)</script> $x_$ & 転"
 
@@ -91,7 +90,7 @@ def test_missing_samples_are_gaps():
 
 
 def test_channel_names_are_text():
-    page = inline_svg(excitation(data(name=EVIL)), "f", "t")
+    page = style.svg(excitation(data(name=EVIL)))
     assert "<script" not in page and "&lt;script&gt;" in page
 
 

@@ -1,6 +1,7 @@
 """The figure of candidates, and their lines of text."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,45 +9,41 @@ from search_fakes import board, row
 
 import jaxnarx as jnx
 from jaxnarx.errors import SpecError
+from jaxnarx.evaluation import Chart
 from jaxnarx.identification import Leaderboard, describe
 from jaxnarx.shell.figures.leaderboard import error_over_operations
 from jaxnarx.shell.search.leaderboard import live_head, live_line, table
 
 
-def drawn(found: Leaderboard):
-    figure = error_over_operations(describe(found, "y"))
-    (axes,) = figure.axes
-    legend = axes.get_legend()
-    assert legend is not None
-    return axes, [text.get_text() for text in legend.get_texts()]
+def drawn(found: Leaderboard) -> tuple[Chart, dict[str, Any]]:
+    (chart,) = error_over_operations(describe(found, "y")).charts
+    return chart, {getattr(one, "name", ""): one for one in chart.legend_marks}
 
 
 def test_families_the_front_and_the_one_in_use_are_shown():
-    axes, told = drawn(board("y"))
-    assert {"constant", "ARX", "polynomial", "shared feedback", "LOLIMOT"} <= set(told)
-    assert "in use: 3" in told and "diverges: vetoed" in told
-    assert axes.get_xscale() == "log" and axes.get_yscale() == "log"
-    by_label = {line.get_label(): line for line in axes.lines}
-    front = by_label["no cheaper one is better"]
-    assert list(np.asarray(front.get_xdata())) == [
-        1,
-        3,
-        9,
-        20,
-    ]  # no operation stands at one
-    assert by_label["in use: 3"].get_xdata() == [9.0]
+    chart, named = drawn(board("y"))
+    families = {"constant", "ARX", "polynomial", "shared feedback", "LOLIMOT"}
+    assert families <= set(named)
+    assert "in use: 3" in named and "diverges: vetoed" in named
+    assert chart.log == "xy"
+    front = named["no cheaper one is better"]
+    assert list(front.x) == [1, 3, 9, 20]  # no operation stands at one
+    assert named["in use: 3"].x == [9.0]
+    errors = np.concatenate([np.atleast_1d(named[f].y) for f in families])
+    assert named["diverges: vetoed"].y[0] > errors.max()
 
 
 def test_few_errors_alike_need_no_logarithm():
-    axes, _ = drawn(Leaderboard((row(2), row(3)), ("day 1", "day 2")))
-    assert axes.get_yscale() == "linear"
+    chart, _ = drawn(Leaderboard((row(2), row(3)), ("day 1", "day 2")))
+    assert chart.log == "x"
 
 
 @pytest.mark.parametrize("status", ["diverged", "skipped"])
 def test_nothing_to_choose_from_is_drawn_all_the_same(status):
     lost = dataclasses.replace(row(1), free_run=None, status=status)
-    axes, told = drawn(Leaderboard((lost,), ("day 1", "day 2")))
-    assert ("diverges: vetoed" in told) == (status == "diverged")
+    chart, _ = drawn(Leaderboard((lost,), ("day 1", "day 2")))
+    names = [getattr(mark, "name", "") for mark in chart.marks]
+    assert ("diverges: vetoed" in names) == (status == "diverged")
 
 
 def test_a_line_for_each_candidate_and_a_table():

@@ -7,7 +7,6 @@ import scipy.signal
 from jaxnarx.data import Channel, Dataset
 from jaxnarx.linear import TransferFunction, spectra
 from jaxnarx.shell.figures import style
-from jaxnarx.shell.figures.inline import inline_svg
 from jaxnarx.shell.plot import bode, poles, step_responses
 
 EVIL = "<script>alert(1)</script>"
@@ -36,7 +35,7 @@ def points(line):
 
 
 def clean(figure):
-    page = inline_svg(figure, "l-", "t")
+    page = style.svg(figure)
     assert "<script" not in page
     return page
 

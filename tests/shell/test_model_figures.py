@@ -8,7 +8,6 @@ from common import CHANNELS, A, B, Part, network
 
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.shell.figures import style
-from jaxnarx.shell.figures.inline import inline_svg
 from jaxnarx.shell.plot import local_models
 
 EVIL = "<script>alert(1)</script>"
@@ -50,7 +49,7 @@ def test_local_models_show_gains_and_poles(data, dims):
     titles = [ax.get_title(loc="left") for ax in figure.axes]
     assert f"gain by {EVIL} [ppm per V]" in titles
     assert "gain by b [ppm per 1]" in titles and "slowest time constant [s]" in titles
-    page = inline_svg(figure, "l-", "l")
+    page = style.svg(figure)
     assert "<script" not in page and "&lt;script&gt;" in page
 
 

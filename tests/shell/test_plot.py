@@ -97,7 +97,7 @@ def test_what_the_model_says_of_its_inputs_is_one_call_each():
     x, y = (np.asarray(a, float) for a in (curve.get_xdata(), curve.get_ydata()))
     np.testing.assert_allclose(y, x, atol=0.05)
     figure = jnx.plot.error_map(network, data(), over=("u", "u[t-1]"))
-    assert "RMSE" in "".join(ax.get_ylabel() for ax in figure.axes)
+    assert "RMSE" in texts(figure)
     sizes = jnx.plot.errors_by_size(chosen, {"train": data()[0], "test": data()[1]})
     assert "number of terms" in texts(sizes) and "operations" in texts(sizes)
     free = jnx.plot.residuals(network, data(), over="free run")

@@ -4,11 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgba
 from test_html import EVIL, make, parsed
 
 from jaxnarx.data import Channel
+from jaxnarx.evaluation import Chart, Curve
 from jaxnarx.evaluation.residual_tests.coefficients import Coefficient, Influence
 from jaxnarx.evaluation.residual_tests.correlations import (
     autocorrelation,
@@ -25,7 +24,6 @@ from jaxnarx.evaluation.residual_tests.operating_point import bin_by_operating_p
 from jaxnarx.evaluation.residual_tests.residual import make_residual
 from jaxnarx.evaluation.residual_tests.scalar_tests import ljung_box
 from jaxnarx.shell.figures import residuals
-from jaxnarx.shell.figures.style import RED
 from jaxnarx.shell.report.html import render
 
 
@@ -65,24 +63,27 @@ def one() -> OutputDiagnostics:
     )
 
 
+def marked(chart: Chart, colour: str) -> list[float]:
+    """Places of the dots of a colour."""
+    curves = [m for m in chart.marks if isinstance(m, Curve) and m.marker]
+    return [x for m in curves if m.colour == colour for x in m.points[0].tolist()]
+
+
 def test_the_lag_outside_its_band_is_red(one):
-    figure = residuals.correlations(one)
-    square = next(a for a in figure.axes if a.get_title(loc="left").startswith("u²,"))
-    red = [x for x in square.lines if x.get_color() == RED]
-    assert [np.asarray(x.get_xdata()).tolist() for x in red] == [[1]]
-    assert len(figure.axes) == 6
+    charts = residuals.correlations(one).charts
+    square = next(c for c in charts if c.title.startswith("u²,"))
+    assert marked(square, "red") == [1.0]
+    assert len(charts) == 6
 
 
 def test_bins_whose_mean_is_off_are_red(one):
-    figure = residuals.operating_points(one)
-    assert figure is not None
-    (axes,) = figure.axes
-    bars = [c for c in axes.collections if isinstance(c, LineCollection)]
-    red = [c for c in bars if np.allclose(c.get_color()[0], to_rgba(RED))]
+    picture = residuals.operating_points(one)
+    assert picture is not None
+    (chart,) = picture.charts
     point = one.operating_points[0]
     off = np.abs(point.mean) > 2 * point.error
-    assert off.sum() > 2 and len(red[0].get_segments()) == off.sum()
-    assert axes.get_xlabel().endswith("[V]")
+    assert off.sum() > 2 and len(marked(chart, "red")) == off.sum()
+    assert chart.x_label.endswith("[V]")
     bare = dataclasses.replace(one, operating_points=())
     assert residuals.operating_points(bare) is None
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation import ComparedRecord, ModelComparison, SizeErrors
-from jaxnarx.shell.figures.report import envelope
+from jaxnarx.shell.figures.envelope import envelope
 from jaxnarx.shell.figures.style import (
     COLOUR_CYCLE,
     GREY,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from jaxnarx.data import Channel, Dataset
-from jaxnarx.shell.figures.report import envelope
+from jaxnarx.shell.figures.envelope import envelope
 from jaxnarx.shell.figures.style import (
     BLUE,
     GREY,

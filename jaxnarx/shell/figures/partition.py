@@ -5,55 +5,56 @@ model's extent in each variable, or the tree. Weights come from the network itse
 `jaxnarx.evaluation.describe_partition`; nothing here knows a validity function.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import contourpy
 import numpy as np
-from jaxtyping import Bool, Float
-from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 from scipy.ndimage import distance_transform_edt
 
-from jaxnarx.shell.figures.style import (
-    BLUE,
-    GREY,
-    INK_COLOUR,
-    canvas,
-    plain_text,
-    tone,
-    use_style,
+from jaxnarx.evaluation import (
+    Chart,
+    Curve,
+    Mark,
+    Picture,
+    Range,
+    RegionMap,
+    Text,
+    ellipse,
 )
+from jaxnarx.shell.figures.palette import shorten
 from jaxnarx.shell.figures.tree import tree
 
 MAX_DATA_POINTS = 1500
 """Data points drawn."""
+BORDER_POINTS = 81
+"""Points along each side of the grid on which borders are found."""
+RUG_POINTS = 300
+"""Data points drawn below the curves of one variable."""
 
 Side = Mapping[str, Any]
 """`regions`, and where known `weights`, of one partition."""
 
 
-def partition(entry: Mapping[str, Any]) -> Figure:
+def partition(entry: Mapping[str, Any]) -> Picture:
     """The partition of one output, an entry of `describe_partition`.
 
     Before and after stand side by side where both are there. Widths and centres outside
     the range are drawn where they fall in it; at most 1500 points of the cloud are
     drawn.
     """
-    names = [plain_text(name) for name in entry["scheduling"]]
+    names = list(entry["scheduling"])
     box = np.asarray(entry["ranges"], float).reshape(len(names), 2)
     sides = _title_sides(entry)
     points = _thin(entry.get("cloud"))
     drawable = all("weights" in side for _, side in sides)
     if not drawable and "gates" in entry["after"]:
         return tree(entry)
-    with use_style():
-        if drawable and len(names) == 1:
-            return _curves(names[0], box[0], sides, points)
-        if drawable:
-            return _maps(names, box, sides, points)
-        return _spans(entry["scheduling"], box, sides)
+    if drawable and len(names) == 1:
+        return _curves(names[0], box[0], sides, points)
+    if drawable:
+        return _maps(names, box, sides, points)
+    return _spans(names, box, sides)
 
 
 def _title_sides(entry: Mapping[str, Any]) -> list[tuple[str, Side]]:
@@ -73,126 +74,158 @@ def _thin(cloud: np.ndarray | None) -> np.ndarray | None:
     return cloud[np.unique(np.linspace(0, len(cloud) - 1, MAX_DATA_POINTS).astype(int))]
 
 
-def _curves(name: str, box: np.ndarray, sides, points) -> Figure:
-    figure, axes = canvas(9.0, 2.6, columns=len(sides), sharey=True)
-    for ax, (title, side) in zip(axes, sides, strict=True):
+def _curves(name: str, box: np.ndarray, sides, points) -> Picture:
+    charts = []
+    for title, side in sides:
         weights = np.asarray(side["weights"], float)
         z = np.linspace(box[0], box[1], weights.shape[1])
+        marks: list[Mark] = []
         for m, weight in enumerate(weights):
-            ax.plot(z, weight, color=tone(m))
-            _name_curve(ax, m, z, weight, weight >= weights.max(axis=0))
+            leads = weight >= weights.max(axis=0)
+            marks.append(Curve("", z, weight, m))
+            marks.append(_name_curve(m, z, weight, leads))
         if points is not None:
-            rug = {"color": INK_COLOUR, "marker": "|", "ms": 5, "ls": "", "alpha": 0.25}
-            ax.plot(points[:300, 0], np.full(len(points[:300]), -0.06), **rug)
-        ax.set(title=title, xlabel=name, ylim=(-0.12, 1.18), xlim=box)
-    axes[0].set_ylabel("validity")
-    return figure
+            rug: dict[str, Any] = {"line": "", "marker": "|", "size": 5, "opacity": 0.4}
+            at = points[:RUG_POINTS, 0]
+            marks.append(Curve("", at, np.full(len(at), -0.06), "ink", **rug))
+        ends = _ends(box)
+        charts.append(
+            Chart(
+                *(tuple(marks), name, "validity", title),
+                x_range=ends,
+                y_range=(-0.12, 1.18),
+            )
+        )
+    return Picture(tuple(charts), len(charts), height=2.6, shared="y")
 
 
-def _name_curve(axes: Axes, m: int, z, weight, leads: Bool[np.ndarray, " grid"]):
+def _name_curve(m: int, z, weight, leads) -> Text:
     """The number above the middle of where a model leads, or else at its peak."""
     at = float(z[leads].mean()) if leads.any() else float(z[weight.argmax()])
     height = 1.03 if leads.any() else float(weight.max())
-    look: dict[str, Any] = {"ha": "center", "va": "bottom", "fontweight": "bold"}
-    axes.text(at, height, str(m + 1), color=tone(m), **look)
+    return Text(at, height, str(m + 1), m, up="bottom", bold=True)
 
 
-def _maps(names: list[str], box: np.ndarray, sides, points) -> Figure:
-    shared = {"sharex": True, "sharey": True}
-    figure, axes = canvas(9.0, 4.0, columns=len(sides), **shared)
-    for ax, (title, side) in zip(axes, sides, strict=True):
-        named = [_centre(ax, m, box, r) for m, r in enumerate(side["regions"])]
-        _map(ax, box, np.asarray(side["weights"], float), named)
+def _ends(box: np.ndarray) -> Range:
+    return float(box[0]), float(box[1])
+
+
+def _maps(names: list[str], box: np.ndarray, sides, points) -> Picture:
+    charts = []
+    for title, side in sides:
+        weights = np.asarray(side["weights"], float)
+        lead = weights.argmax(axis=0)
+        marks: list[Mark] = [
+            RegionMap(_ends(box[0]), _ends(box[1]), lead, weights.max(axis=0))
+        ]
         if points is not None:
-            dots = {"color": GREY, "marker": ".", "ms": 2.2, "ls": "", "mew": 0}
-            ax.plot(*points.T, alpha=0.6, rasterized=True, zorder=1.5, **dots)
-        ax.set(title=title, xlabel=names[0], xlim=box[0], ylim=box[1])
-        ax.grid(visible=False)
-    axes[0].set_ylabel(names[1])
-    return figure
+            dots: dict[str, Any] = {"line": "", "marker": ".", "size": 2.2}
+            marks.append(
+                Curve("", points[:, 0], points[:, 1], "grey", opacity=0.6, **dots)
+            )
+        marks += _borders(weights, lead, box)
+        for m, region in enumerate(side["regions"]):
+            marks += _centre(m, box, region)
+            if not _has_centre_in(box, region):
+                marks += _number(m, lead, box)
+        ends: dict[str, Any] = {"x_range": _ends(box[0]), "y_range": _ends(box[1])}
+        charts.append(Chart(tuple(marks), names[0], names[1], title, **ends))
+    return Picture(tuple(charts), len(charts), height=4.0, shared="xy")
 
 
-def _map(
-    axes: Axes,
-    box: np.ndarray,
-    weights: Float[np.ndarray, "models _ _"],
-    named: Sequence[bool],
-) -> None:
-    """Regions coloured by the model that leads, paler where it leads by little.
+def _grid(box: np.ndarray, shape: tuple[int, ...]) -> list[np.ndarray]:
+    return [np.linspace(a, b, n) for (a, b), n in zip(box, shape, strict=True)]
 
-    Lines run where two models are equal; the number of a model that is not `named`
-    already stands where its border is farthest.
-    """
-    weights = np.swapaxes(weights, 1, 2)
-    color = np.array([to_rgb(tone(m)) for m in range(len(weights))])
-    lead = weights.argmax(axis=0)
-    alpha = 0.45 * weights.max(axis=0)[..., None]
-    image = np.concatenate([color[lead], alpha], axis=-1)
-    # Pixels lie around the points of the grid, also around those on the edge.
-    half = 0.5 * np.diff(box, axis=1)[:, 0] / (np.array(lead.shape[::-1]) - 1)
-    left, right, low, high = (box + np.outer(half, [-1, 1])).ravel().tolist()
-    extent = (left, right, low, high)
-    axes.imshow(image, extent=extent, origin="lower", aspect="auto", zorder=0.5)
-    sides = zip(box, lead.shape[::-1], strict=True)
-    grid = [np.linspace(a, b, n) for (a, b), n in sides]
+
+def _borders(weights: np.ndarray, lead: np.ndarray, box: np.ndarray) -> Iterator[Curve]:
+    """Lines where two models are equal."""
+    step = [max(1, (n - 1) // (BORDER_POINTS - 1)) for n in lead.shape]
+    x, y = (g[::k] for g, k in zip(_grid(box, lead.shape), step, strict=True))
+    weights, lead = weights[:, :: step[0], :: step[1]], lead[:: step[0], :: step[1]]
     for m in range(len(weights)):
         own = lead == m
-        if not own.any():
+        if not own.any() or own.all():
             continue
         ahead = weights[m] - np.delete(weights, m, axis=0).max(axis=0)
-        if not own.all():
-            axes.contour(*grid, ahead, levels=[0], colors=[INK_COLOUR], linewidths=0.7)
-        if not named[m]:
-            inside = np.asarray(distance_transform_edt(np.pad(own, 1)))[1:-1, 1:-1]
-            row, column = np.unravel_index(inside.argmax(), inside.shape)
-            place = float(grid[0][column]), float(grid[1][row])
-            look = {"ha": "center", "va": "center", "fontweight": "bold", "zorder": 4}
-            axes.text(*place, str(m + 1), color=INK_COLOUR, **look)
+        for line in contourpy.contour_generator(x, y, ahead.T).lines(0.0):
+            x_y = np.asarray(line)
+            yield Curve("", x_y[:, 0], x_y[:, 1], "ink", width=0.7)
+
+
+def _number(m: int, lead: np.ndarray, box: np.ndarray) -> Iterator[Text]:
+    """The number of a model where its border is farthest."""
+    own = lead == m
+    if own.any():
+        inside = np.asarray(distance_transform_edt(np.pad(own, 1)))[1:-1, 1:-1]
+        place = np.unravel_index(inside.argmax(), inside.shape)
+        x, y = (g[i] for g, i in zip(_grid(box, lead.shape), place, strict=True))
+        yield Text(float(x), float(y), str(m + 1), bold=True)
+
+
+def _extents(
+    region: Mapping[str, Mapping[str, float]],
+) -> tuple[np.ndarray, ...] | None:
+    """Centre and width of a model that has them in both variables."""
+    extents = list(region.values())
+    if len(extents) != 2 or not all("centre" in e for e in extents):
+        return None
+    return tuple(np.array([e[k] for e in extents]) for k in ("centre", "width"))
+
+
+def _has_centre_in(box: np.ndarray, region: Mapping[str, Mapping[str, float]]) -> bool:
+    found = _extents(region)
+    return found is not None and bool(
+        np.all((found[0] >= box[:, 0]) & (found[0] <= box[:, 1]))
+    )
 
 
 def _centre(
-    axes: Axes, m: int, box: np.ndarray, region: Mapping[str, Mapping[str, float]]
-) -> bool:
+    m: int, box: np.ndarray, region: Mapping[str, Mapping[str, float]]
+) -> Iterator[Mark]:
     """Dot, ring and number of a model that has a centre and widths; its number shows
     only where the centre does."""
-    extents = list(region.values())
-    if len(extents) != 2 or not all("centre" in e for e in extents):
-        return False
-    centre = extents[0]["centre"], extents[1]["centre"]
-    size = [2 * e["width"] for e in extents]
-    ring = Ellipse(centre, *size, fill=False, ec=tone(m), lw=1.0, alpha=0.8)
-    axes.add_patch(ring)
-    axes.plot(*centre, color=tone(m), marker="o", ms=4.5, mec="white", mew=0.8)
-    if np.any(np.array(centre) < box[:, 0]) or np.any(np.array(centre) > box[:, 1]):
-        return False
-    look = {"textcoords": "offset points", "fontweight": "bold", "zorder": 4}
-    axes.annotate(str(m + 1), centre, xytext=(4, 3), color=INK_COLOUR, **look)
-    return True
+    found = _extents(region)
+    if found is None:
+        return
+    (x, y), (wide, high) = (f.tolist() for f in found)
+    yield Curve("", *ellipse((x, y), (wide, high)), m, width=1.0, opacity=0.8)
+    yield Curve("", [x], [y], m, line="", marker="o", size=4.5)
+    if _has_centre_in(box, region):
+        number = str(m + 1)
+        yield Text(x, y, number, across="left", up="bottom", bold=True, nudge=(4, 3))
 
 
-def _spans(scheduling: Sequence[str], box: np.ndarray, sides) -> Figure:
-    """Every model's extent in each variable, one axes per variable."""
+def _spans(scheduling: Sequence[str], box: np.ndarray, sides) -> Picture:
+    """Every model's extent in each variable, one chart per variable."""
     models = max(len(side["regions"]) for _, side in sides)
-    height = 1.2 + 0.24 * models
-    figure, axes = canvas(9.0, height, columns=len(scheduling), sharey=True)
-    tones = (GREY, BLUE) if len(sides) == 2 else (BLUE,)
+    colours = ("grey", "blue") if len(sides) == 2 else ("blue",)
+    panels: list[list[Mark]] = [[] for _ in scheduling]
     for s, (title, side) in enumerate(sides):
         offset = 0.24 * (s - 0.5 * (len(sides) - 1))
         for m, region in enumerate(side["regions"]):
-            for ax, name, limits in zip(axes, scheduling, box, strict=True):
+            at = m + 1 + offset
+            for n, (marks, name, limits) in enumerate(
+                zip(panels, scheduling, box, strict=True)
+            ):
                 low, centre, high = _extent(region.get(name, {}), limits)
-                at = m + 1 + offset
-                label = title if m == 0 else None
-                ax.plot([low, high], [at, at], color=tones[s], lw=1.8, label=label)
+                text = title if m == 0 and n == 0 else ""
+                ends = [low, high], [at, at]
+                marks.append(Curve(text, *ends, colours[s], width=1.8))
                 if centre is not None:
-                    ax.plot(centre, at, color=tones[s], marker="o", ms=4)
-    for ax, name, limits in zip(axes, scheduling, box, strict=True):
-        ax.set(xlabel=plain_text(name), xlim=limits)
-    axes[0].set(ylabel="local model", yticks=np.arange(models) + 1)
-    axes[0].set_ylim(models + 0.6, 0.4)
-    if len(sides) == 2:
-        axes[0].legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
-    return figure
+                    dot: dict[str, Any] = {"line": "", "marker": "o", "size": 4}
+                    marks.append(Curve("", [centre], [at], colours[s], **dot))
+    ticks = tuple((float(m + 1), str(m + 1)) for m in range(models))
+    charts = [
+        Chart(
+            *(tuple(marks), shorten(name), "local model"),
+            x_range=_ends(limits),
+            y_range=(models + 0.6, 0.4),
+            y_ticks=ticks,
+        )
+        for marks, name, limits in zip(panels, scheduling, box, strict=True)
+    ]
+    height = 1.2 + 0.24 * models
+    return Picture(tuple(charts), len(charts), height=height, shared="y")
 
 
 def _extent(extent: Mapping[str, float], limits: np.ndarray):

@@ -1,35 +1,32 @@
 """Figures of the residual analysis: correlations with bounds, and operating points."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from jaxnarx.evaluation import (
     LAG_TEST_TITLES,
+    Band,
+    Chart,
+    Curve,
     FreeRunResiduals,
     LagTest,
+    Mark,
     OperatingPoint,
     OutputDiagnostics,
+    Picture,
+    StraightLine,
+    uprights,
 )
-from jaxnarx.shell.figures.style import (
-    BLUE,
-    GREY,
-    INK_COLOUR,
-    RED,
-    canvas,
-    plain_text,
-    use_style,
-)
+from jaxnarx.shell.figures.palette import shorten
 
 MAX_INPUTS = 4
 """Inputs drawn; the ones that speak loudest."""
 PANELS_PER_ROW = 3
 
 
-def correlations(one: OutputDiagnostics) -> Figure:
+def correlations(one: OutputDiagnostics) -> Picture:
     """Correlations of one output's residual, a row for itself and for every input.
 
     Shaded: the bounds of each lag alone; dashed: of all lags together; red: outside
@@ -37,19 +34,17 @@ def correlations(one: OutputDiagnostics) -> Figure:
     is the one of its other tests with the least p.
     """
     rows = [_tests_without_inputs(one), *_inputs(one)]
-    with use_style():
-        height = 1.75 * len(rows) + 0.3
-        figure, axes = canvas(9.0, height, rows=len(rows), columns=PANELS_PER_ROW)
-        for ax, test in zip(axes, [t for row in rows for t in row], strict=True):
-            _panel(ax, test)
-        for ax in axes[-PANELS_PER_ROW:]:
-            ax.set_xlabel("lag [samples]")
-        for ax in axes[::PANELS_PER_ROW]:
-            ax.set_ylabel("correlation")
-    return figure
+    charts = [
+        _panel(test, named=row is rows[-1], first=test is row[0])
+        for row in rows
+        for test in row
+    ]
+    return Picture(
+        tuple(charts), PANELS_PER_ROW, height=1.75 * len(rows) + 0.3, small=True
+    )
 
 
-def free_run(one: FreeRunResiduals) -> Figure:
+def free_run(one: FreeRunResiduals) -> Picture:
     """Correlations of one output's free-run residual: its own, and with every input.
 
     Bounds as in `correlations`, for residuals of their own colour; negative lags are
@@ -58,21 +53,19 @@ def free_run(one: FreeRunResiduals) -> Figure:
     loud = sorted(one.inputs, key=lambda t: t.p)[: 2 * PANELS_PER_ROW - 1]
     tests = [one.autocorrelation, *(t for t in one.inputs if any(t is k for k in loud))]
     columns = min(len(tests), PANELS_PER_ROW)
-    rows = -(-len(tests) // columns)
-    with use_style():
-        figure, axes = canvas(9.0, 1.9 * rows + 0.3, rows=rows, columns=columns)
-        for ax, test in zip(axes, tests, strict=False):
-            _panel(ax, test)
-            ax.set_xlabel("lag [samples]")
-        axes[0].set_title("free-run residual, its colour", fontsize=8)
-        for ax in axes[len(tests) :]:
-            ax.set_axis_off()
-        for ax in axes[::columns]:
-            ax.set_ylabel("correlation")
-    return figure
+    charts = [
+        _panel(
+            test,
+            first=n % columns == 0,
+            title="" if n else "free-run residual, its colour",
+        )
+        for n, test in enumerate(tests)
+    ]
+    height = 1.9 * -(-len(tests) // columns) + 0.3
+    return Picture(tuple(charts), columns, height=height, small=True)
 
 
-def operating_points(one: OutputDiagnostics) -> Figure | None:
+def operating_points(one: OutputDiagnostics) -> Picture | None:
     """Mean of the residual in bins of each variable; None without any.
 
     Bars: twice the standard error of the mean; shaded: the standard deviation.
@@ -81,18 +74,14 @@ def operating_points(one: OutputDiagnostics) -> Figure | None:
     if not points:
         return None
     columns = min(len(points), PANELS_PER_ROW)
-    rows = -(-len(points) // columns)
-    with use_style():
-        share = {"sharey": True}
-        figure, axes = canvas(9.0, 2.3 * rows, rows=rows, columns=columns, **share)
-        for ax, point in zip(axes, points, strict=False):
-            _bins(ax, point)
-        for ax in axes[len(points) :]:
-            ax.set_axis_off()
-        unit = f" [{plain_text(one.output.unit)}]" if one.output.unit else ""
-        for ax in axes[::columns]:
-            ax.set_ylabel("residual" + unit)
-    return figure
+    unit = f" [{one.output.unit}]" if one.output.unit else ""
+    return Picture(
+        tuple(_bins(point, "residual" + unit) for point in points),
+        columns,
+        height=2.3 * -(-len(points) // columns),
+        shared="y",
+        small=True,
+    )
 
 
 def _tests_without_inputs(one: OutputDiagnostics) -> list[LagTest]:
@@ -112,51 +101,67 @@ def _inputs(one: OutputDiagnostics) -> list[list[LagTest]]:
     return [row for row in rows if any(row is kept for kept in loudest)]
 
 
-def _panel(axes: Axes, test: LagTest) -> None:
-    where = test.lags
-    bounds = {"step": "mid", "lw": 0, "color": BLUE}
-    axes.fill_between(where, test.low, test.high, alpha=0.18, **bounds)
-    line = {"color": BLUE, "lw": 0.9, "ls": (0, (3, 1.5)), "where": "mid"}
+def _panel(test: LagTest, *, first: bool, named: bool = True, title: str = "") -> Chart:
+    """The correlations of one test; `named` has its lags below, the `first` of a row
+    its name at the left."""
+    where = test.lags.astype(float)
+    marks: list[Mark] = [Band(where, test.low, test.high, steps="middle")]
     for edge in (test.joint_low, test.joint_high):
-        axes.step(where, np.where(test.tested, edge, np.nan), **line)
-    out = np.isin(where, test.outside)
+        line = np.where(test.tested, edge, np.nan)
+        style: dict[str, Any] = {"line": "dashed", "width": 0.9, "steps": "middle"}
+        marks.append(Curve("", where, line, "blue", **style))
+    out = np.isin(test.lags, test.outside)
     for chosen, colour in (
-        (~test.tested, GREY),
-        (test.tested & ~out, INK_COLOUR),
-        (out, RED),
+        (~test.tested, "grey"),
+        (test.tested & ~out, "ink"),
+        (out, "red"),
     ):
+        if not chosen.any():
+            continue
         at, value = where[chosen], test.value[chosen]
-        axes.vlines(at, 0, value, color=colour, lw=1.0)
-        axes.plot(at, value, color=colour, ls="", marker="o", ms=2.6, mew=0)
-    axes.axhline(0, color=INK_COLOUR, lw=0.6)
-    title = LAG_TEST_TITLES[test.name] + (f", {test.signal}" if test.signal else "")
-    axes.set_title(f"{plain_text(title, 34)}: p = {test.p:.1g}", fontsize=8)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
+        marks.append(Curve("", *uprights(at, 0.0, value), colour, width=1.0))
+        dots: dict[str, Any] = {"line": "", "marker": "o", "size": 2.6}
+        marks.append(Curve("", at, value, colour, **dots))
+    marks.append(StraightLine(0.0, "y", width=0.6))
+    own = LAG_TEST_TITLES[test.name] + (f", {test.signal}" if test.signal else "")
     edges = (test.value, test.joint_low, test.joint_high)
     reach = 1.15 * max(float(np.max(np.abs(e), initial=0.0)) for e in edges)
-    axes.set_ylim(-reach or -1.0, reach or 1.0)
+    return Chart(
+        tuple(marks),
+        "lag [samples]" if named else "",
+        "correlation" if first else "",
+        title or f"{shorten(own, 34)}: p = {test.p:.1g}",
+        x_range=(float(where.min()) - 0.5, float(where.max()) + 0.5),
+        y_range=(-reach or -1.0, reach or 1.0),
+        whole="x",
+    )
 
 
-def _bins(axes: Axes, point: OperatingPoint) -> None:
+def _bins(point: OperatingPoint, label: str) -> Chart:
     middle = 0.5 * (point.edges[:-1] + point.edges[1:])
-    band = np.r_[point.deviation, point.deviation[-1:]]
-    axes.fill_between(point.edges, -band, band, step="post", color=BLUE, alpha=0.13)
+    low, high = -point.deviation, point.deviation
+    marks: list[Mark] = [Band(point.edges, low, high, opacity=0.13, steps="after")]
     off = np.abs(point.mean) > 2 * point.error
-    look: dict = {"ls": "", "marker": "o", "ms": 3.5, "lw": 1.1, "capsize": 2}
-    for chosen, colour in ((~off, INK_COLOUR), (off, RED)):
-        values = (middle[chosen], point.mean[chosen], 2 * point.error[chosen])
-        axes.errorbar(*values, color=colour, ecolor=colour, **look)
-    axes.axhline(0, color=INK_COLOUR, lw=0.6)
-    unit = f" [{plain_text(point.unit)}]" if point.unit not in ("", "-") else ""
-    axes.set_xlabel(plain_text(point.variable) + unit)
-    axes.set_title(f"equal means: p = {point.p:.2g}", fontsize=8.5)
+    for chosen, colour in ((~off, "ink"), (off, "red")):
+        if not chosen.any():
+            continue
+        at, mean = middle[chosen], point.mean[chosen]
+        half = 2 * point.error[chosen]
+        ends = uprights(at, mean - half, mean + half)
+        marks.append(Curve("", *ends, colour, width=1.1))
+        dots: dict[str, Any] = {"line": "", "marker": "o", "size": 3.5}
+        marks.append(Curve("", at, mean, colour, **dots))
+    marks.append(StraightLine(0.0, "y", width=0.6))
+    unit = f" [{point.unit}]" if point.unit not in ("", "-") else ""
+    title = f"equal means: p = {point.p:.2g}"
+    return Chart(tuple(marks), point.variable + unit, label, title)
 
 
 def figures(
     outputs: Sequence[OutputDiagnostics],
-) -> list[tuple[str, Figure]]:
+) -> list[tuple[str, Picture]]:
     """Both figures of every output with their titles."""
-    drawn: list[tuple[str, Figure]] = []
+    drawn: list[tuple[str, Picture]] = []
     for one in outputs:
         drawn.append((f"{one.output.name}: correlations", correlations(one)))
         points = operating_points(one)

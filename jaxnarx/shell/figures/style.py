@@ -1,4 +1,4 @@
-"""The look of every figure, and figures as SVG text that can stand in a page.
+"""The look of matplotlib figures, and how they are written to files.
 
 Figures are drawn with matplotlib's objects, never with pyplot, so nothing global is
 kept and no display is needed.
@@ -16,29 +16,25 @@ from typing import Any
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation
 
 from jaxnarx.files import write_whole
+from jaxnarx.shell.figures.palette import BLUE as BLUE
+from jaxnarx.shell.figures.palette import COLOUR_CYCLE as COLOUR_CYCLE
+from jaxnarx.shell.figures.palette import GREEN as GREEN
+from jaxnarx.shell.figures.palette import GREY as GREY
+from jaxnarx.shell.figures.palette import GRID_COLOUR as GRID_COLOUR
+from jaxnarx.shell.figures.palette import INK_COLOUR as INK_COLOUR
+from jaxnarx.shell.figures.palette import ORANGE as ORANGE
+from jaxnarx.shell.figures.palette import PURPLE as PURPLE
+from jaxnarx.shell.figures.palette import RED as RED
+from jaxnarx.shell.figures.palette import SKY as SKY
+from jaxnarx.shell.figures.palette import shorten
+from jaxnarx.shell.figures.palette import tone as tone
 
-INK_COLOUR = "#24292f"
-GRID_COLOUR = "#d5dae0"
-GREY = "#7a828c"
-BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
-PURPLE, SKY = "#cc79a7", "#56b4e9"
 LAYOUT_ENGINE = "constrained"
 """How figures find their margins: half of the time of a figure."""
-COLOUR_CYCLE = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
-"""Okabe and Ito's palette: told apart with any common colour blindness."""
-
-_CYCLE_SHADES = (
-    ("#000000", 0.0),
-    ("#000000", 0.45),
-    ("#ffffff", 0.5),
-    ("#000000", 0.7),
-)
-"""What the palette is mixed with, and how much of it, each time it is used up."""
 
 _STYLE_SETTINGS: dict[Any, Any] = {
     "font.size": 9.0,
@@ -103,19 +99,6 @@ def canvas(
     return figure, list(axes.flat)
 
 
-def tone(number: int) -> str:
-    """The colour of a local model, counted from 0, the same in every figure.
-
-    Behind the palette come its darker and lighter shades: 24 colours, then again.
-    """
-    other, share = _CYCLE_SHADES[number // len(COLOUR_CYCLE) % len(_CYCLE_SHADES)]
-    pairs = zip(
-        to_rgb(COLOUR_CYCLE[number % len(COLOUR_CYCLE)]), to_rgb(other), strict=True
-    )
-    red, green, blue = ((1 - share) * a + share * b for a, b in pairs)
-    return to_hex((red, green, blue))
-
-
 class Powers(LogFormatterSciNotation):
     """Powers of ten as plain text, such as 10⁻³: mathematics takes long to set."""
 
@@ -130,10 +113,8 @@ _SUPERSCRIPTS = str.maketrans("−-0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸�
 
 
 def plain_text(text: object, width: int = 48) -> str:
-    """`text` as it is: no mathematics in it, one line, no control characters."""
-    line = "".join(c if c.isprintable() else " " for c in str(text))
-    line = line if len(line) <= width else line[: width - 1] + "…"
-    return line.replace("$", r"\$")
+    """`text` as it is, on one line: no mathematics in it, no control characters."""
+    return shorten(text, width).replace("$", r"\$")
 
 
 def svg(figure: Figure) -> str:

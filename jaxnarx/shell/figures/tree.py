@@ -1,24 +1,18 @@
 """A tree of gates as an indented list: what every branch lies above or below."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from jaxnarx.shell.figures.style import (
-    COLOUR_CYCLE,
-    GREY,
-    INK_COLOUR,
-    canvas,
-    plain_text,
-    use_style,
-)
+from jaxnarx.evaluation import Chart, Curve, Mark, Picture, Text
+from jaxnarx.shell.figures.palette import COLOUR_CYCLE, shorten
 
 LINE_HEIGHT_INCHES = 0.21
 """Height of a line [inch]."""
+INDENT = 0.035
+"""Share of the width by which a branch stands further in."""
 
 
 class Branch(NamedTuple):
@@ -33,7 +27,7 @@ class Branch(NamedTuple):
     leaf: int
 
 
-def tree(entry: Mapping[str, Any]) -> Figure:
+def tree(entry: Mapping[str, Any]) -> Picture:
     """The gates of one output's tree, from an entry of `describe_partition`.
 
     Each gate makes two branches, one below and one above its border; a dot carries the
@@ -43,13 +37,19 @@ def tree(entry: Mapping[str, Any]) -> Figure:
     sides = [entry[key] for key in ("before", "after") if key in entry]
     titles = ["before refinement", "after refinement"] if len(sides) == 2 else [""]
     lists = [branches(side["gates"], np.asarray(side["path"])) for side in sides]
-    height = 0.5 + LINE_HEIGHT_INCHES * max(map(len, lists))
-    with use_style():
-        figure, axes = canvas(9.0, height, columns=len(sides), sharex=True, sharey=True)
-        for ax, title, rows in zip(axes, titles, lists, strict=True):
-            _draw(ax, rows)
-            ax.set_title(title)
-    return figure
+    longest = max(map(len, lists))
+    charts = [
+        Chart(
+            tuple(_marks(rows)),
+            title=title,
+            x_range=(-0.01, 1.0),
+            y_range=(max(longest, 1) - 0.4, -0.8),
+            bare=True,
+        )
+        for title, rows in zip(titles, lists, strict=True)
+    ]
+    height = 0.5 + LINE_HEIGHT_INCHES * longest
+    return Picture(tuple(charts), len(charts), height=height)
 
 
 def branches(
@@ -82,30 +82,19 @@ def branches(
     return rows
 
 
-def _draw(axes: Axes, rows: list[Branch]) -> None:
+def _marks(rows: list[Branch]) -> Iterator[Mark]:
     """One line per branch, elbows from each to the one it hangs from."""
-    step = 0.035
     for at, row in enumerate(rows):
-        x = step * row.depth
+        x = INDENT * row.depth
         start = row.parent if row.parent >= 0 else -0.6
-        axes.plot([x, x, x + 0.6 * step], [start + 0.3, at, at], color=GREY, lw=0.8)
-        place = x + 0.9 * step
+        elbow = [x, x, x + 0.6 * INDENT], [start + 0.3, at, at]
+        yield Curve("", *elbow, "grey", width=0.8)
+        place = x + 0.9 * INDENT
         if row.leaf >= 0:
-            dot = {
-                "marker": "o",
-                "ms": 11,
-                "color": COLOUR_CYCLE[row.leaf % len(COLOUR_CYCLE)],
-            }
-            axes.plot(place + 0.006, at, alpha=0.55, mew=0, **dot)
-            number: dict[str, Any] = {
-                "ha": "center",
-                "va": "center_baseline",
-                "fontweight": "bold",
-            }
-            axes.text(place + 0.006, at, str(row.leaf + 1), fontsize=7.5, **number)
+            dot: dict[str, Any] = {"line": "", "marker": "o", "size": 11}
+            colour = row.leaf % len(COLOUR_CYCLE)
+            yield Curve("", [place + 0.006], [at], colour, opacity=0.55, **dot)
+            number = str(row.leaf + 1)
+            yield Text(place + 0.006, at, number, bold=True, size=7.5)
             place += 0.03
-        axes.text(
-            place, at, plain_text(row.text, 60), va="center_baseline", color=INK_COLOUR
-        )
-    axes.set(xlim=(-0.01, 1), ylim=(max(len(rows), 1) - 0.4, -0.8))
-    axes.set_axis_off()
+        yield Text(place, at, shorten(row.text, 60), across="left")

@@ -10,6 +10,7 @@ JSON and in strings of the model's script without any sign that could end them; 
 text marked safe here is built from such pieces.
 """
 
+import dataclasses
 import math
 import os
 import re
@@ -20,11 +21,12 @@ from typing import Any
 import jinja2
 import numpy as np
 from markupsafe import Markup, escape
-from matplotlib.figure import Figure
 
 from jaxnarx.evaluation import (
     HOW_ESTIMATED,
     INDEX_EDGES,
+    Chart,
+    Picture,
     Report,
     Row,
     name_data,
@@ -32,9 +34,12 @@ from jaxnarx.evaluation import (
 )
 from jaxnarx.files import encodable, write_whole
 from jaxnarx.formatting import ratio_text, span_text
-from jaxnarx.shell import figures
-from jaxnarx.shell.figures.inline import inline_svg
+from jaxnarx.shell.figures import report as figures
+from jaxnarx.shell.figures import residuals
 from jaxnarx.shell.figures.leaderboard import error_over_operations
+from jaxnarx.shell.figures.partition import partition
+from jaxnarx.shell.figures.svg import svg
+from jaxnarx.shell.figures.tree import tree
 from jaxnarx.shell.report.overview import overview
 from jaxnarx.shell.report.page import make_page
 
@@ -237,7 +242,7 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
     ranked = [trace for trace in report.traces if trace.rank]
     lines = (4 if not report.coverage else 6) * max(len(ranked), 1)
     points = min(max(POINT_BUDGET // lines, 200), STATIC_POINTS)
-    drawn: dict[str, list[tuple[str, Figure]]] = {
+    drawn: dict[str, list[tuple[str, Picture]]] = {
         "leaderboard": [
             (output, error_over_operations(entry))
             for output, entry in (report.leaderboard or {}).items()
@@ -246,21 +251,20 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
         "records": [
             (
                 f"{c.name}, every record",
-                figures.report.draw_record_panels(own[:MAX_PANELS]),
+                figures.draw_record_panels(own[:MAX_PANELS]),
             )
             for c in report.outputs
             for own in [[t for t in report.traces if t.output.name == c.name]]
             if len(own) > 1
         ],
         "domain": [
-            (e.output, figures.report.error_by_index(e, INDEX_EDGES))
+            (e.output, figures.error_by_index(e, INDEX_EDGES))
             for e in (report.domain.errors if report.domain else ())
         ],
-        "maps": [(m.output, figures.report.error_map(m)) for m in report.maps],
+        "maps": [(m.output, figures.error_map(m)) for m in report.maps],
         "residuals": [(r.output.name, _agreement(r)) for r in report.residuals],
         "errors": [
-            (one.output, figures.report.cumulated_errors(one))
-            for one in report.distributions
+            (one.output, figures.cumulated_errors(one)) for one in report.distributions
         ],
         "selection": [
             (title, _selection(item))
@@ -275,18 +279,16 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
         ],
     }
     for name, section in report.sections.items():
-        drawn[f"section-{name}"] = [
-            (one.title, figures.sections.draw_chart(one)) for one in section.charts
-        ]
+        drawn[f"section-{name}"] = [_title_picture(one) for one in section.charts]
     if report.diagnostics is not None:
-        drawn["diagnostics"] = figures.residuals.figures(report.diagnostics.outputs)
+        drawn["diagnostics"] = residuals.figures(report.diagnostics.outputs)
     if report.history:
-        drawn["history"] = [("", figures.report.refinement(list(report.history)))]
+        drawn["history"] = [("", figures.refinement(list(report.history)))]
     return {
         section: [
             (
                 title,
-                _inline_figure(figure, f"{section}{i}-", f"{section} {title}".strip()),
+                Markup(svg(figure, f"{section}{i}-", f"{section} {title}".strip())),
             )
             for i, (title, figure) in enumerate(items)
         ]
@@ -294,19 +296,22 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
     }
 
 
-def _inline_figure(figure: Figure, prefix: str, title: str) -> Markup:
-    return Markup(inline_svg(figure, prefix, title))  # escaped by the XML writer
+def _title_picture(one: Chart | Picture) -> tuple[str, Picture]:
+    """A chart alone has its title above the figure."""
+    if isinstance(one, Picture):
+        return "", one
+    return one.title, Picture((dataclasses.replace(one, title=""),))
 
 
 def _caption(trace: Any) -> str:
     how = "diverged" if trace.rmse is None else f"RMSE {trace.rmse:.4g}"
     stated = trace.rmse is not None and trace.output.unit not in ("", "-", "1")
     unit = f" {trace.output.unit}" if stated else ""
-    return f"{trace.output.name}, {trace.rank} record {trace.record}: {how}{unit}"
+    return f"{trace.output.name}, {trace.rank} record, {trace.record}: {how}{unit}"
 
 
-def _trace(trace: Any, points: int) -> Figure:
-    return figures.report.draw_free_run(
+def _trace(trace: Any, points: int) -> Picture:
+    return figures.draw_free_run(
         trace.time,
         trace.measured,
         trace.simulated,
@@ -321,8 +326,8 @@ def _trace(trace: Any, points: int) -> Figure:
     )
 
 
-def _agreement(item: Any) -> Figure:
-    return figures.report.agreement(
+def _agreement(item: Any) -> Picture:
+    return figures.agreement(
         item.measured,
         item.simulated,
         item.counts,
@@ -332,8 +337,8 @@ def _agreement(item: Any) -> Figure:
     )
 
 
-def _selection(item: Mapping[str, Any]) -> Figure:
-    return figures.report.selection_path(
+def _selection(item: Mapping[str, Any]) -> Picture:
+    return figures.selection_path(
         [str(n) for n in item["names"]],
         item["err"],
         item.get("cumulative"),
@@ -341,11 +346,11 @@ def _selection(item: Mapping[str, Any]) -> Figure:
     )
 
 
-def _partition(title: str, item: Mapping[str, Any]) -> list[tuple[str, Figure]]:
+def _partition(title: str, item: Mapping[str, Any]) -> list[tuple[str, Picture]]:
     """The regions and, of a tree that is not the whole picture already, its gates."""
-    drawn = [(title, figures.partition.partition(item))]
+    drawn = [(title, partition(item))]
     if "gates" in item["after"] and "weights" in item["after"]:
-        drawn.append((f"{title} tree".strip(), figures.tree.tree(item)))
+        drawn.append((f"{title} tree".strip(), tree(item)))
     return drawn
 
 
