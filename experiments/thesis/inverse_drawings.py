@@ -12,7 +12,7 @@ from inverse_spark import slope
 
 import jaxnarx as jnx
 from jaxnarx.evaluation.regions import describe_partition
-from jaxnarx.shell.figures.draw import draw
+from jaxnarx.shell.figures.draw import draw as draw_picture
 from jaxnarx.shell.figures.partition import partition
 from jaxnarx.shell.figures.style import save
 from jaxnarx.shell.figures.tree import tree
@@ -35,7 +35,10 @@ def draw(case: Case, folder: Path, name: str, points: int) -> None:
     )
     if "THR" in found:
         entry = found["THR"]
-        figures |= {"regions": draw(partition(entry)), "tree": draw(tree(entry))}
+        figures |= {
+            "regions": draw_picture(partition(entry)),
+            "tree": draw_picture(tree(entry)),
+        }
     for what, figure in figures.items():
         save(figure, folder / f"{name}_{what}.png")
 
