@@ -201,8 +201,8 @@ class Report:
     def to_html(self, path: str | os.PathLike[str]) -> None:
         """Write one self-contained offline HTML file, atomically."""
         # The one import of this floor that points up: a report that shows itself is
-        # worth it, and inside the function no jinja2 is loaded
-        # before somebody asks for a page.
+        # worth it, and inside the function jinja2 is not loaded before somebody asks
+        # for a page.
         from jaxnarx.shell.report.html import write_report
 
         write_report(self, path)
