@@ -18,6 +18,18 @@ UNFINISHED_SUFFIX = ".tmp"
 """How the name of a file ends that is still being written."""
 
 
+def cache_folder(name: str) -> Path | None:
+    """The user's folder for what is quicker kept than made again; None where it cannot
+    be."""
+    home = os.environ.get("XDG_CACHE_HOME")
+    try:
+        folder = Path(home or Path.home() / ".cache") / "jaxnarx" / name
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # it cannot be written, or there is no home
+        return None
+    return folder
+
+
 def write_whole(path: Path, data: bytes, *, replace: bool = True) -> bool:
     """Write a file so that it appears at once, complete and on the disk.
 

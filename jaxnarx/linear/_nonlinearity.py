@@ -25,6 +25,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+import scipy.special
 from jaxtyping import Bool, Float
 
 from jaxnarx.argument_checks import guard_arguments
@@ -127,14 +128,14 @@ def nonlinearity(
 def _check(
     found: Spectra, floor, freedom: float, leakage, level, way: str
 ) -> NonlinearityCheck:
-    import scipy.stats
-
     own = 2 * max(found.averages - len(found.inputs), 1.0)
     tail = level / len(found.frequency)
     if np.isinf(freedom):
-        limit = scipy.stats.chi2.isf(tail, own) / own
+        limit = scipy.special.chdtri(own, tail) / own
     else:
-        limit = scipy.stats.f.isf(tail, own, freedom)
+        # The upper quantile of F from the beta distribution, exact for small tails.
+        share = scipy.special.betaincinv(0.5 * freedom, 0.5 * own, tail)
+        limit = freedom * (1 - share) / (own * share)
     excused = leakage * found.output_spectrum
     exceeds = found.residual_spectrum > limit * floor + excused
     excess = np.where(exceeds, found.residual_spectrum - floor, 0.0)

@@ -14,6 +14,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.special
 from jaxtyping import Complex, Float
 
 from jaxnarx.argument_checks import guard_arguments
@@ -59,10 +60,8 @@ class Spectra:
 
         With one input 1 - 0.05^(1/(n - 1)), n averages.
         """
-        import scipy.stats
-
         inputs = len(self.inputs)
-        return float(scipy.stats.beta.ppf(0.95, inputs, self.averages - inputs))
+        return float(scipy.special.betaincinv(inputs, self.averages - inputs, 0.95))
 
 
 @guard_arguments

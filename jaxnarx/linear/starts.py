@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.signal
 from jaxtyping import Bool, Float
 
 from jaxnarx.linear.stability import reflect_roots
@@ -94,9 +93,11 @@ class _LongModel:
 
 def settled_filter(b: np.ndarray, a: np.ndarray, u: Records) -> Records:
     """B/A u of records that rest at their first value."""
+    from scipy.signal import lfilter  # it loads half of scipy
+
     first = u[:, :1]
     gain = b.sum() / a.sum()
-    return gain * first + scipy.signal.lfilter(b, a, u - first, axis=1)
+    return gain * first + lfilter(b, a, u - first, axis=1)
 
 
 def _armax(structure: Structure, u, y, valid, e) -> Polynomials:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxnarx.errors import SpecError
+from jaxnarx.files import cache_folder
 from jaxnarx.shell import commands
 from jaxnarx.shell.description import read_description
 from jaxnarx.shell.exit_code import exit_code_of, require_finite
@@ -80,13 +81,9 @@ def _configure() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         return
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    cache = Path(home) / "jaxnarx" / "compiled"
-    try:
-        cache.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return
-    jax.config.update("jax_compilation_cache_dir", str(cache))
+    cache = cache_folder("compiled")
+    if cache is not None:
+        jax.config.update("jax_compilation_cache_dir", str(cache))
 
 
 def _check(command: commands.Check) -> int:

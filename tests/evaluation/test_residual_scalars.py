@@ -140,3 +140,14 @@ def test_bins_after_a_fit_are_the_f_test_of_adding_them():
 def test_a_variable_with_one_value_has_no_bins():
     e = np.random.default_rng(8).normal(size=50)
     assert bin_by_operating_point(plain(e), np.full(50, 2.0), variable="x") is None
+
+
+def test_normal_scores_of_skewness_and_kurtosis_are_those_of_scipy():
+    rng = np.random.default_rng(4)
+    for n in (20, 57, 3000):
+        for values in (rng.normal(size=n), rng.standard_t(3, size=n), rng.random(n)):
+            found = normality(plain(values))
+            assert found is not None and found.statistic is not None
+            theirs = scipy.stats.normaltest(values)
+            np.testing.assert_allclose(found.statistic, theirs.statistic, rtol=1e-9)
+            np.testing.assert_allclose(found.p, theirs.pvalue, rtol=1e-9)

@@ -233,3 +233,21 @@ def test_a_ratio_of_one_is_no_number_of_a_candidate():
     rows = [dataclasses.replace(r, nrmse=1.0) for r in base.rows]
     page = render(dataclasses.replace(base, rows=tuple(rows)))
     assert '<div class="big">1.00</div>' in page and "<td>1.00</td>" in page
+
+
+def test_templates_are_compiled_once_and_a_spoilt_cache_is_no_matter(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = render(make())
+    kept = sorted((tmp_path / "jaxnarx" / "pages").iterdir())
+    assert len(kept) > 5
+    times = [path.stat().st_mtime_ns for path in kept]
+    assert render(make()) == first
+    assert [path.stat().st_mtime_ns for path in kept] == times
+    kept[0].write_bytes(kept[0].read_bytes()[:40])
+    kept[1].unlink()
+    kept[1].mkdir()  # can be neither read nor written
+    assert render(make()) == first
+    monkeypatch.setenv("XDG_CACHE_HOME", str(kept[0]))  # a file
+    assert render(make()) == first

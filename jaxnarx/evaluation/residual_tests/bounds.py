@@ -4,7 +4,6 @@ import functools
 
 import numpy as np
 import scipy.special
-import scipy.stats.qmc
 from jaxtyping import Float
 
 QUANTILE_POINTS = 2**12
@@ -90,11 +89,13 @@ def _lognormal(
 
 @functools.lru_cache(maxsize=16)
 def _normal_points(dims: int) -> Float[np.ndarray, "dims points"]:
-    """Evenly spread points of the standard normal distribution, always the same."""
-    sobol = scipy.stats.qmc.Sobol(dims, scramble=True, rng=np.random.default_rng(1))
-    return scipy.special.ndtri(
-        np.clip(sobol.random(QUANTILE_POINTS), 1e-12, 1 - 1e-12)
-    ).T.copy()
+    """Evenly spread points of the standard normal distribution, always the same: a
+    Latin hypercube (McKay, Beckman and Conover 1979)."""
+    rng = np.random.default_rng(1)
+    strata = np.tile(np.arange(QUANTILE_POINTS), (dims, 1))
+    share = rng.permuted(strata, axis=1) + rng.random(strata.shape)
+    share = np.clip(share / QUANTILE_POINTS, 1e-12, 1 - 1e-12)
+    return np.asarray(scipy.special.ndtri(share))
 
 
 def joint_score(correlation: Float[np.ndarray, "lags lags"], level: float) -> float:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import scipy.stats
+import scipy.special
 
 from jaxnarx.checks import require
 from jaxnarx.data import Dataset
@@ -75,7 +75,8 @@ def coefficients(
     for n, (m, name, value) in enumerate(terms):
         own = float(error[n]) if known[n] else None
         t = float(ratio[n]) if known[n] else None
-        p = None if t is None else float(2 * scipy.stats.t.sf(abs(t), residual.freedom))
+        tail = None if t is None else scipy.special.stdtr(residual.freedom, -abs(t))
+        p = None if tail is None else float(2 * tail)
         number = int(equations[m]["model"])
         rows.append(Coefficient(number, name, value, own, t, p, err.get(name)))
     assert len(rows) == sum(map(len, slots(model))) == len(error)

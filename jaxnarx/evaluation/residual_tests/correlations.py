@@ -19,7 +19,6 @@ import dataclasses
 
 import numpy as np
 import scipy.special
-import scipy.stats
 from jaxtyping import Bool, Float
 
 from jaxnarx.evaluation.residual_tests.fits import no_fit
@@ -179,7 +178,9 @@ def normal_scores_of_squares(residual: Residual) -> Residual:
     """
     square = residual.value[residual.known] ** 2
     value = np.zeros(residual.value.shape)
-    rank = scipy.stats.rankdata(square)
+    # Equal values share the mean of their ranks.
+    _, place, ties = np.unique(square, return_inverse=True, return_counts=True)
+    rank = (np.cumsum(ties) - 0.5 * (ties - 1))[place]
     value[residual.known] = scipy.special.ndtri(rank / (len(square) + 1))
     return dataclasses.replace(
         residual,

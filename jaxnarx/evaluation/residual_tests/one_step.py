@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Bool, Float, Int
 
 from jaxnarx.arrays import quadratic
@@ -167,7 +167,8 @@ def _find_noise_kind(
     count = len(every)
     scale = count / max(len(design.basis), 1)
     moments = [joint[chosen, m] for m, chosen in enumerate(own)]
-    most = scipy.stats.chi2.ppf(FOREIGN_FIT_PROBABILITY, max(sum(map(len, own)), 1))
+    freedom = max(sum(map(len, own)), 1)
+    most = 2 * scipy.special.gammaincinv(0.5 * freedom, FOREIGN_FIT_PROBABILITY)
     blended = [w[:, None] * c for c, w in zip(*parts, strict=True)]
     together = (np.concatenate(blended, axis=1), np.concatenate(moments))
     if _explained_share(*together, squares[0, 0], scale) * count < most:

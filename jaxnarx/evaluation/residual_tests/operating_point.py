@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from jaxtyping import Float, Int
 
 from jaxnarx.arrays import quadratic
@@ -89,7 +89,7 @@ def bin_by_operating_point(
     whole, rank = quadratic(v, total, least=1e-6)
     statistic = whole / max(rank, 1)
     freedom = (float(rank), max(residual.freedom - rank, 1.0))
-    p = float(scipy.stats.f.sf(statistic, *freedom)) if rank else 1.0
+    p = float(scipy.special.fdtrc(*freedom, statistic)) if rank else 1.0
     shift = residual.mean if residual.centred else 0.0
     error = np.sqrt(np.diagonal(v)) / safe
     return OperatingPoint(

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.signal
 from jaxtyping import Bool, Float, Int
 
 from jaxnarx.data import Dataset, gains, stack_records
@@ -36,15 +35,19 @@ class Stretch:
         """Columns through 1/A from rest."""
         if len(a) == 1:
             return columns
-        return np.asarray(scipy.signal.lfilter([1.0], a, columns))
+        from scipy.signal import lfilter  # it loads half of scipy
+
+        return np.asarray(lfilter([1.0], a, columns))
 
     def start_response(self, a: Float[np.ndarray, " _"]) -> Float[np.ndarray, " time"]:
         """Free run on nothing but the measured start."""
         rest = np.zeros(len(self.y))
         if len(a) == 1:
             return rest
-        state = scipy.signal.lfiltic([1.0], a, self.before[: len(a) - 1])
-        return scipy.signal.lfilter([1.0], a, rest, zi=state)[0]
+        from scipy.signal import lfilter, lfiltic
+
+        state = lfiltic([1.0], a, self.before[: len(a) - 1])
+        return lfilter([1.0], a, rest, zi=state)[0]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
