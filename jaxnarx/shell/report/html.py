@@ -10,7 +10,6 @@ JSON and in strings of the model's script without any sign that could end them; 
 text marked safe here is built from such pieces.
 """
 
-import contextlib
 import dataclasses
 import math
 import os
@@ -21,7 +20,6 @@ from typing import Any
 
 import jinja2
 import numpy as np
-from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 
 from jaxnarx.evaluation import (
@@ -34,7 +32,7 @@ from jaxnarx.evaluation import (
     name_data,
     region_sentence,
 )
-from jaxnarx.files import cache_folder, encodable, write_whole
+from jaxnarx.files import encodable, write_whole
 from jaxnarx.formatting import ratio_text, span_text
 from jaxnarx.shell.figures import report as figures
 from jaxnarx.shell.figures import residuals
@@ -42,6 +40,7 @@ from jaxnarx.shell.figures.leaderboard import error_over_operations
 from jaxnarx.shell.figures.partition import partition
 from jaxnarx.shell.figures.svg import svg
 from jaxnarx.shell.figures.tree import tree
+from jaxnarx.shell.report.compiled import CompiledTemplates
 from jaxnarx.shell.report.overview import overview
 from jaxnarx.shell.report.page import make_page
 
@@ -75,7 +74,7 @@ def render(report: Report) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
         loader=jinja2.PackageLoader("jaxnarx.shell.report", "templates"),
-        bytecode_cache=_CompiledTemplates(),
+        bytecode_cache=CompiledTemplates(),
     )
     environment.filters |= {"figure": figure_text, "term": term_html, "span": _span}
     environment.filters |= {"data_of": name_data, "ratio": _ratio}
@@ -95,28 +94,6 @@ def render(report: Report) -> str:
         fitted=HOW_ESTIMATED,
     )
     return _insert_contents(page)
-
-
-class _CompiledTemplates(jinja2.BytecodeCache):
-    """Templates as they were compiled before: half a second of every report.
-
-    Files that cannot be read or written are as if they were not there.
-    """
-
-    def __init__(self) -> None:
-        self.folder = cache_folder("pages")
-
-    def load_bytecode(self, bucket: Bucket) -> None:
-        """Take what is kept of a template, if it is of this text."""
-        if self.folder is not None:
-            with contextlib.suppress(OSError):
-                bucket.bytecode_from_string((self.folder / bucket.key).read_bytes())
-
-    def dump_bytecode(self, bucket: Bucket) -> None:
-        """Keep a template."""
-        if self.folder is not None:
-            with contextlib.suppress(OSError):
-                write_whole(self.folder / bucket.key, bucket.bytecode_to_string())
 
 
 def _needed_inputs(report: Report) -> list[str]:
