@@ -17,6 +17,7 @@ from jaxnarx.evaluation.domain_errors import DomainErrors
 from jaxnarx.evaluation.effect_sizes import Effect
 from jaxnarx.evaluation.error_distribution import ErrorDistribution
 from jaxnarx.evaluation.extrapolation import Outside
+from jaxnarx.evaluation.findings import finding_lines, findings
 from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.page_records import ShownRecord
 from jaxnarx.evaluation.remarks import stability_values
@@ -120,6 +121,12 @@ class Report:
         return summary(self)
 
     @property
+    def findings(self) -> dict[str, Section]:
+        """What its fields say of errors, intervals, cost, rules and poles, as
+        sections."""
+        return findings(self)
+
+    @property
     def policies(self) -> tuple[str, ...]:
         """The model's behaviour beyond its training, as sentences made from it."""
         network = self.network
@@ -160,9 +167,9 @@ class Report:
                 f"{self.main}, {effect}", 88, subsequent_indent="  "
             )
         ]
-        told += [f"{self.main}, free run, {one}" for one in self.distributions]
         own = [line for one in self.sections.values() for line in ("", *one.lines())]
-        return "\n".join([*lines, *comparison_lines(self), *told, *notes, *own])
+        sizes = finding_lines(self)
+        return "\n".join([*lines, *comparison_lines(self), *told, *notes, *sizes, *own])
 
     def __str__(self) -> str:
         return self.table

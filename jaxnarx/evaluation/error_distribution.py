@@ -7,8 +7,6 @@ from jaxtyping import Float
 
 from jaxnarx.data import Channel
 from jaxnarx.evaluation.rows import ScoredSamples
-from jaxnarx.evaluation.table import number
-from jaxnarx.formatting import page
 
 CURVE_POINTS = 201
 """Points of the cumulated curve."""
@@ -42,19 +40,6 @@ class ErrorDistribution:
     def most(self) -> float:
         """The error that 95 % of the samples do not exceed."""
         return float(np.interp(REPORTED_QUANTILE, self.share, self.size))
-
-    def __str__(self) -> str:
-        unit = f" {self.unit}" if self.unit not in ("", "-", "1") else ""
-        text = (
-            f"{self.output}: {REPORTED_QUANTILE:.0%} of the errors up to "
-            f"{number(self.most, '.3g')}{unit}, the largest "
-            f"{number(self.largest, '.3g')}{unit}"
-        )
-        if self.within is None or self.tolerance is None:
-            return text
-        return f"{text}; {self.within:.1%} within {self.tolerance:g}{unit}"
-
-    _repr_html_ = page
 
 
 def error_distribution(

@@ -29,6 +29,8 @@ class Section:
     """A finding under a title: sentences, then a table, then charts, then a small note.
 
     `header` names the columns of `rows`. `data` are further values for `report.json`.
+    `marked` are cells (row, column) that speak against the model; the page colours
+    them.
     """
 
     title: str
@@ -38,6 +40,7 @@ class Section:
     charts: tuple[Chart | Picture, ...] = ()
     note: str = ""
     data: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    marked: tuple[tuple[int, int], ...] = ()
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
@@ -65,7 +68,7 @@ class Section:
 
 
 def _text(cell: Cell) -> str:
-    return cell if isinstance(cell, str) else number(cell)
+    return str(cell) if isinstance(cell, str | int) else number(cell)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -249,24 +249,6 @@ def _normal_density(counts: np.ndarray, edges: np.ndarray) -> Iterator[Curve]:
         yield Curve("", at, bulk, "ink", "dashed", 0.9)
 
 
-def cumulated_errors(value: Any) -> Picture:
-    """Share of the samples over the size of their error, of an `ErrorDistribution`; a
-    line marks 95 %, another the tolerance."""
-    unit = f" [{value.unit}]" if value.unit else ""
-    marks: list[Mark] = [Curve("", value.size, 100 * value.share, "blue")]
-    marks.append(Curve("", [value.most] * 2, [0.0, 95.0], "ink", "dashed", 0.8))
-    if value.tolerance is not None and value.tolerance <= value.largest:
-        marks.append(StraightLine(value.tolerance, colour="orange", width=1.2))
-    chart = Chart(
-        tuple(marks),
-        "size of the error" + unit,
-        "samples up to it [%]",
-        x_range=(0.0, value.largest or 1.0),
-        y_range=(0.0, 101.0),
-    )
-    return Picture((chart,), height=2.6)
-
-
 def selection_path(
     names: Sequence[str],
     err: Numbers,

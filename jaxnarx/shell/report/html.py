@@ -29,6 +29,7 @@ from jaxnarx.evaluation import (
     Picture,
     Report,
     Row,
+    Section,
     name_data,
     region_sentence,
 )
@@ -77,18 +78,19 @@ def render(report: Report) -> str:
         bytecode_cache=CompiledTemplates(),
     )
     environment.filters |= {"figure": figure_text, "term": term_html, "span": _span}
-    environment.filters |= {"data_of": name_data, "ratio": _ratio}
-    live = make_page(report)
+    environment.filters |= {"data_of": name_data, "ratio": _ratio, "code": code_html}
+    live, findings = make_page(report), report.findings
     page = environment.get_template("report.html.jinja").render(
         report=report,
         running=live,
         needed=_needed_inputs(report),
         jumps=_jumps(report),
         verdict=overview(report),
+        findings=findings,
         scores=_scores(report),
         models=_models(report),
         boards=_boards(report),
-        pictures=_pictures(report),
+        pictures=_pictures(report, findings),
         provenance=_flatten(report.provenance),
         max_records=MAX_RECORDS,
         fitted=HOW_ESTIMATED,
@@ -116,10 +118,13 @@ def _jumps(report: Report) -> list[tuple[int, int, int, int] | None]:
     return found
 
 
-def figure_text(value: float | None, digits: int = 4) -> Markup:
-    """A number for people: true minus, powers of ten raised, infinity as its sign."""
+def figure_text(value: float | int | None, digits: int = 4) -> Markup:
+    """A number for people: true minus, powers of ten raised, infinity as its sign;
+    whole numbers as they are."""
     if value is None:
         return Markup("–")
+    if isinstance(value, int):
+        return Markup(str(value).replace("-", "−"))
     if not math.isfinite(value):
         return Markup("∞" if value > 0 else "−∞") if value == value else Markup("–")
     mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
@@ -139,6 +144,11 @@ def _ratio(value: float | None) -> Markup:
 def _span(stretch: Any) -> tuple[str, str]:
     """Begin and end of a stretch of time."""
     return span_text(stretch.start, stretch.end)
+
+
+def code_html(text: str) -> Markup:
+    """A text whose words between backquotes are code."""
+    return Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(text))))
 
 
 def term_html(name: str) -> Markup:
@@ -239,7 +249,9 @@ def _region_text(value: object) -> str:
     return str(value)
 
 
-def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
+def _pictures(
+    report: Report, findings: Mapping[str, Section]
+) -> dict[str, list[tuple[str, Markup]]]:
     """(title, safe SVG text) of every figure by section; a trace holds its title."""
     ranked = [trace for trace in report.traces if trace.rank]
     lines = (4 if not report.coverage else 6) * max(len(ranked), 1)
@@ -265,9 +277,6 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
         ],
         "maps": [(m.output, figures.error_map(m)) for m in report.maps],
         "residuals": [(r.output.name, _agreement(r)) for r in report.residuals],
-        "errors": [
-            (one.output, figures.cumulated_errors(one)) for one in report.distributions
-        ],
         "selection": [
             (title, _selection(item))
             for title, item in _pair_outputs(report.selection, "names")
@@ -280,8 +289,9 @@ def _pictures(report: Report) -> dict[str, list[tuple[str, Markup]]]:
             for picture in _partition(title, item)
         ],
     }
-    for name, section in report.sections.items():
-        drawn[f"section-{name}"] = [_title_picture(one) for one in section.charts]
+    for kind, sections in (("section", report.sections), ("finding", findings)):
+        for name, section in sections.items():
+            drawn[f"{kind}-{name}"] = [_title_picture(one) for one in section.charts]
     if report.diagnostics is not None:
         drawn["diagnostics"] = residuals.figures(report.diagnostics.outputs)
     if report.history:
