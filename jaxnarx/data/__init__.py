@@ -69,6 +69,7 @@ from jaxnarx.data.record import Record as Record
 from jaxnarx.data.runs import Run as Run
 from jaxnarx.data.scaling import gains as gains
 from jaxnarx.data.scaling import scaling_unit as scaling_unit
+from jaxnarx.data.units import dimension as dimension
 from jaxnarx.deprecation import find_old as _find_old
 
 if TYPE_CHECKING:

@@ -119,6 +119,12 @@ def same_unit(a: str, b: str) -> bool:
     return conversion(a, b) == (1.0, 0.0)
 
 
+def dimension(unit: str) -> str | None:
+    """What a unit measures, such as `"temperature"`; None where it is not known."""
+    found = _KNOWN_UNITS.get(bare(unit))
+    return None if found is None else found[0]
+
+
 def is_known(unit: str) -> bool:
     """Whether it is one of the table."""
     return bare(unit) in _KNOWN_UNITS

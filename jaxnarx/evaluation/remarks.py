@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.data import Channels, Dataset, fingerprint, other_units
+from jaxnarx.data import Channels, Dataset, dimension, fingerprint, other_units
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row, nrmse_within
 from jaxnarx.evaluation.table import name_data, number
 from jaxnarx.formatting import list_names
@@ -247,6 +247,8 @@ LISTED_GAINS = 3
 """Gains that change sign or jump that are told one by one."""
 LISTED_TOTALS = 4
 """Outputs whose cycle totals are told."""
+LEVELS = "temperature", "pressure", "speed of rotation", "velocity", "angle", "length"
+"""What is no amount that a sum over a record would add up."""
 
 
 def verdict_remarks(report: Any) -> Iterator[str]:
@@ -286,10 +288,15 @@ def _totals(report: Any) -> Iterator[str]:
     """
     found: dict[str, list[float | None]] = {}
     for row in report.rows:
-        if (row.part, row.mode) == (
-            report.main,
-            FREE_RUN,
-        ) and row.record != POOLED_NAME:
+        if (
+            (row.part, row.mode)
+            == (
+                report.main,
+                FREE_RUN,
+            )
+            and row.record != POOLED_NAME
+            and dimension(row.unit) not in LEVELS
+        ):
             found.setdefault(row.output, []).append(row.total_error)
     known = {k: [e for e in errors if e is not None] for k, errors in found.items()}
     worst = sorted(filter(known.get, known), key=lambda k: -max(map(abs, known[k])))

@@ -110,7 +110,8 @@ def test_table_and_json_show_them():
 # the remark -----------------------------------------------------------------------
 
 
-def remarks(*errors, main="test", **more):
+def remarks(*errors, main="test", unit="g/s", **more):
+    more["unit"] = unit
     rows = [row(main, f"r{n}", total_error=e, **more) for n, e in enumerate(errors)]
     return made(row(main, total_error=1.0), *rows, main=main).verdict.remarks
 
@@ -125,13 +126,18 @@ def test_the_remark_tells_mean_and_range_and_what_they_are():
     assert "T -3 % in 1 record (" in remarks(-3.0)[0]
 
 
+@pytest.mark.parametrize("unit", ["K", "degC", "kPa", "rpm"])
+def test_a_level_has_no_cycle_total(unit):
+    assert remarks(-3.0, 2.0, unit=unit) == ()
+
+
 def test_no_remark_without_totals_or_on_records_of_the_training():
     assert remarks(None, None) == () and remarks(1.0, 2.0, main="train") == ()
 
 
 def test_the_remark_names_the_outputs_that_are_furthest_off():
     rows = [
-        row("test", "r", output=f"y{n}", total_error=float(n) * (-1) ** n)
+        row("test", "r", output=f"y{n}", unit="g/s", total_error=float(n) * (-1) ** n)
         for n in range(7)
     ]
     (remark,) = made(row("test"), *rows).verdict.remarks
