@@ -384,3 +384,21 @@ def test_words_of_the_leaderboard_are_explained():
     words += "given up after 2 of 5 groups|shared feedback|hidden states".split("|")
     words += "skipped|diverged|failed|order 2|degree 2|regions|states".split("|")
     assert [word for word in words if word not in page] == []
+
+
+def test_every_capability_has_a_name_a_command_and_tests_that_are_there():
+    page = (ROOT / "docs" / "project" / "capabilities.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1:-1] for line in page.splitlines() if line.startswith("|")]
+    assert len(rows) > 35
+    missing = []
+    for _, library, command, tests in rows[2:]:
+        for path in re.findall("`([^`]+)`", tests):
+            missing += [] if (ROOT / path).is_file() else [path]
+        for name in re.findall("`([^`]+)`", library):
+            found = jaxnarx
+            for part in name.split(".")[1:]:
+                found = getattr(found, part, None)
+            missing += [name] if found is None else []
+        for name in re.findall("`([^`]+)`", command):
+            missing += [] if name in COMMANDS else [name]
+    assert not missing
