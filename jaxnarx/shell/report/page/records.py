@@ -20,12 +20,15 @@ from jaxnarx.shell.report.page.codec import (
     pack,
 )
 
-MAX_RECORDS_BYTES = 1_900_000
+MAX_RECORDS_BYTES = 1_600_000
 """All records together, as they stand in the page."""
 ENVELOPE_BINS = 400
 """Of an envelope."""
-STRETCH_SAMPLES = 2_000
-"""Samples around the largest error."""
+STRETCHES = (
+    (2_000, FINE_LEVELS),
+    *((length, MIDDLE_LEVELS) for length in (2_000, 1_000, 500, 250)),
+)
+"""Samples around the largest error, and their levels: the first that fit."""
 WIDTH_LEVELS, INDEX_LEVELS, SWITCH_LEVELS = 250, 1_000, 1
 """Levels of half widths, of the index and of switches."""
 MAX_INDEX_SHOWN = 8.0
@@ -58,12 +61,16 @@ def choose_records(
             told += "with the largest errors"
         return Budget(found, told)
     bins = min(ENVELOPE_BINS, max(limit // (40 * max(len(records), 1)), 8))
-    reduced = [_reduce(record, bins) for record in records]
+    length, reduced = 0, []
+    for length, levels in STRETCHES:
+        reduced = [_reduce(record, bins, length, levels) for record in records]
+        if _sum(reduced) <= limit:
+            break
     found, kept = _enlarge_worst(reduced, coarse, records, limit)
     told = (
         f"every sample of the {kept} of {len(records)} records with the largest errors,"
         f" rounded to {_share(COARSE_LEVELS)}; of the others the least and largest "
-        f"value of {bins} stretches of time, and up to {STRETCH_SAMPLES:,} samples "
+        f"value of {bins} stretches of time, and up to {length:,} samples "
         "around the largest error"
     )
     return Budget(found, told)
@@ -163,24 +170,24 @@ def _series(
         yield "i", INDEX_LEVELS, np.minimum(record.index[part], MAX_INDEX_SHOWN)
 
 
-def _reduce(record: ShownRecord, bins: int) -> dict[str, Any]:
+def _reduce(record: ShownRecord, bins: int, length: int, levels: int) -> dict[str, Any]:
     """Its envelope, residuals among it, and the stretch with the largest error."""
     bins = min(bins, max(len(record) // 2, 1))
     borders = np.linspace(0, len(record), bins + 1).astype(int)[:-1]
     table = []
-    for name, levels, value in [*_series(record), *_residuals(record)]:
+    for name, own, value in [*_series(record), *_residuals(record)]:
         if name[0] in "sl":
             continue
         low, high = (
             function.reduceat(value, borders) for function in (np.fmin, np.fmax)
         )
-        table.append((name, levels, np.stack([low, high], axis=1).ravel()))
-    at = _stretch(record)
+        table.append((name, own, np.stack([low, high], axis=1).ravel()))
+    at = _stretch(record, length)
     return _describe_record(record) | {
         "data": pack(table, COARSE_LEVELS),
         "bins": bins,
         "first": at.start,
-        "stretch": pack(_series(record, at), FINE_LEVELS),
+        "stretch": pack(_series(record, at), levels),
         "length": at.stop - at.start,
     }
 
@@ -192,9 +199,9 @@ def _residuals(
         yield f"r{o}", FINE_LEVELS, record.residual(o)
 
 
-def _stretch(record: ShownRecord) -> slice:
+def _stretch(record: ShownRecord, length: int) -> slice:
     """Samples around the largest error of any output, in shares of its spread."""
-    size = min(STRETCH_SAMPLES, len(record))
+    size = min(length, len(record))
     at, most = 0, -1.0
     for o in range(record.simulated.shape[1]):
         off = np.abs(np.nan_to_num(record.residual(o)))
