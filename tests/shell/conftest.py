@@ -2,7 +2,6 @@
 
 import dataclasses
 import pickle
-from collections import defaultdict
 from typing import Any
 
 import pytest
@@ -38,34 +37,6 @@ def described(tmp_path_factory):
             return folder
 
         yield make
-
-
-@pytest.fixture(scope="module")
-def undrawn():
-    """Pages have no figures but where they are `drawn`; yields what draws them."""
-    from jaxnarx.shell.report import html
-
-    draws = html._pictures
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(html, "_pictures", _none)
-        yield draws
-
-
-@pytest.fixture
-def bare(monkeypatch):
-    """Pages have no figures, in one test."""
-    monkeypatch.setattr("jaxnarx.shell.report.html._pictures", _none)
-
-
-def _none(report: Any) -> dict[str, list[tuple[str, str]]]:
-    board = [(output, "") for output in report.leaderboard or ()]
-    return defaultdict(list, leaderboard=board)
-
-
-@pytest.fixture
-def drawn(undrawn, monkeypatch):
-    """Pages with figures, in a file that is `undrawn`."""
-    monkeypatch.setattr("jaxnarx.shell.report.html._pictures", undrawn)
 
 
 @pytest.fixture(scope="module")

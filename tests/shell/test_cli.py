@@ -43,7 +43,7 @@ MODEL = "model.safetensors"
 PARTS = 'train = ["{0}0.csv", "{0}1.csv"]\nvalidate = ["{0}2.csv"]\ntest = ["{0}3.csv"]'
 FILES = sorted([MODEL, "report.html", "report.json"])
 
-pytestmark = pytest.mark.usefixtures("undrawn", "remembered")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 
 # a small engine in files ----------------------------------------------------------
@@ -1002,7 +1002,7 @@ def test_the_data_a_model_was_trained_on_are_called_that(capsys, both):
 HOSTILE = ("<script>alert(1)</script>", '=HYPERLINK("x")', 'a&b"c</svg>', "@N'Ox")
 
 
-def test_hostile_channel_names_harm_nothing(capsys, drawn):
+def test_hostile_channel_names_harm_nothing(capsys):
     for k in range(4):
         write(f"h{k}.csv", columns(k, names=HOSTILE))
     units = ("<i>", "%", "</td>", "ppm")

@@ -10,7 +10,6 @@ import scipy.signal
 from jaxnarx.models import load
 from jaxnarx.shell.cli import run
 
-pytestmark = pytest.mark.usefixtures("undrawn")
 ROWS = 200
 QUICK = ["--steps", "2", "--window-steps", "2", "--horizons", "10", "--terms", "4"]
 NAMES = ("speed", "load", "temp")

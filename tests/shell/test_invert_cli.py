@@ -13,7 +13,6 @@ from jaxnarx.models import load
 from jaxnarx.regressors import polynomial_pool
 from jaxnarx.shell.cli import run
 
-pytestmark = pytest.mark.usefixtures("undrawn")
 ROWS = 300
 
 

@@ -248,7 +248,7 @@ TICKS = [
 
 
 @needs_browser
-def test_ticks_of_fast_data_are_told_apart(browser, made, tmp_path, bare):
+def test_ticks_of_fast_data_are_told_apart(browser, made, tmp_path):
     """At 1e-5 s ticks that were 0.0005 s apart stood as 0, 0.001, 0.001, 0.002."""
     for value, step, text in TICKS:
         assert browser_text(browser, value, step, made, tmp_path) == text
@@ -571,7 +571,7 @@ def test_of_one_input_the_steady_state_is_a_curve(opened):
 
 
 @needs_browser
-def test_the_interval_lies_within_the_axis(browser, tmp_path, bare):
+def test_the_interval_lies_within_the_axis(browser, tmp_path):
     net = common.named("one model")
 
     def noisy(lengths, seed):
@@ -598,7 +598,7 @@ def test_the_interval_lies_within_the_axis(browser, tmp_path, bare):
 
 
 @needs_browser
-def test_a_leaderboard_fits_a_narrow_page(browser, made, tmp_path, bare):
+def test_a_leaderboard_fits_a_narrow_page(browser, made, tmp_path):
     path = tmp_path / "board.html"
     entry = {"y": describe(board("y"), "y")}
     write_report(dataclasses.replace(made, leaderboard=entry), path)

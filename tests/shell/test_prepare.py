@@ -29,7 +29,7 @@ from jaxnarx.shell.prepare import make_steps, raw_channels, stored_preparation
 from jaxnarx.shell.record_files import describe, record_csv
 from jaxnarx.simulation import simulate
 
-pytestmark = pytest.mark.usefixtures("undrawn", "remembered")
+pytestmark = pytest.mark.usefixtures("remembered")
 ROWS = 500
 FLAGS = shlex.split(
     "--hampel 5 --low-pass 4 --decimate 2 --offset mean --scale min-max"

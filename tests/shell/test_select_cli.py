@@ -7,8 +7,6 @@ import pytest
 
 from jaxnarx.shell.cli import run
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 @pytest.fixture(scope="module")
 def description(tmp_path_factory):
