@@ -38,7 +38,9 @@ def test_table_is_ranges_share_outside_and_overlap():
     for curve in curves:
         assert isinstance(curve.x, np.ndarray)
         assert len(curve.x) == 2 * BINS
-        assert np.sum(np.asarray(curve.points[1])) == pytest.approx(200.0)  # every bin has two points
+        assert np.sum(np.asarray(curve.points[1])) == pytest.approx(
+            200.0
+        )  # every bin has two points
 
 
 def test_inputs_that_never_move_and_values_that_are_missing():
