@@ -84,7 +84,9 @@ def bands(
     data, batch = origin.matched, origin.batch
     masks = make_masks(network, batch)
     layout = uncertainty.layout
-    layout = Layout(network, layout.low, layout.high, layout.chosen)
+    layout = Layout(
+        network, layout.low, layout.high, layout.chosen, owners=layout.owners
+    )
     scaled = variances(
         network,
         layout,

@@ -35,9 +35,9 @@ def describe_partition(
       a part of a sum of networks) and `path`, a row of sides per local model;
     - `cloud`: up to 2000 points of `data`, evenly spaced (samples, dims).
 
-    Outputs with a single local model are left out; of those divided by hidden channels
-    there is no cloud. It is the form `Report.partition`
-    takes; weights and cloud stay out of its JSON.
+    Outputs with a single local model are left out, and those whose models add up; of
+    those divided by hidden channels there is no cloud. It is the form
+    `Report.partition` takes; weights and cloud stay out of its JSON.
     """
     if not isinstance(network, Network):
         return {}
@@ -47,6 +47,8 @@ def describe_partition(
     ):
         if int(np.asarray(model.active).sum()) < 2 or not len(model.scheduling):
             continue
+        if not model.validity.sums_to_one:
+            continue  # gates that add up: nowhere does one model take over
         ranges = scheduling_ranges(model)
         out[name] = {
             "validity": type(model.validity).__name__,

@@ -28,6 +28,7 @@ from jaxtyping import Bool, Float
 from jaxnarx.exporters.names import identifiers
 from jaxnarx.models import (
     LEAST_LOG_WIDTH,
+    AdditiveGates,
     Boxes,
     Compact,
     Gaussians,
@@ -283,6 +284,11 @@ def _rows(what: str) -> str:
     return f"{what}, a row for every local model or gate, of scheduling from 0 to 1"
 
 
+def _gates_behind(active: np.ndarray) -> np.ndarray:
+    """The gates of the active local models behind the first."""
+    return active[active > 0] - 1
+
+
 _BOX_FIELDS = {
     what: Field(what, _rows(f"{what} borders of the boxes")) for what in ("low", "high")
 }
@@ -308,7 +314,7 @@ VALIDITIES: dict[type, dict[str, AbstractTable]] = {
     },
     LogSigmoids: {
         # borders of models that are not active do not count
-        "border": Field("border", _rows("borders"), rows=lambda a: a[a > 0] - 1),
+        "border": Field("border", _rows("borders"), rows=_gates_behind),
         "steepness": Field(
             "log_steepness",
             "steepness of the sigmoids",
@@ -318,6 +324,10 @@ VALIDITIES: dict[type, dict[str, AbstractTable]] = {
         ),
     },
     SigmoidTree: {"gate": Gates(), "gate_border": GateBorders()},
+    AdditiveGates: {
+        "gate": Field("direction", Gates.about, rows=_gates_behind),
+        "gate_border": Field("border", GateBorders.about, rows=_gates_behind),
+    },
 }
 """Tables of every validity function that is known here, in the order of writing."""
 THETA_TABLE, SCHEDULING_TABLE = Coefficients(), Scaling()

@@ -9,6 +9,7 @@ from jaxnarx.exporters.form import Builder, Value
 from jaxnarx.exporters.parameters import VALIDITIES, OutputAt, has_regions
 from jaxnarx.models import (
     LARGEST_ARGUMENT,
+    AdditiveGates,
     Boxes,
     Compact,
     Gaussians,
@@ -138,10 +139,21 @@ def _sigmoid_tree(b: Builder, at: OutputAt, z, tables: Tables) -> Weights:
     return products, None
 
 
+def _additive_gates(b: Builder, at: OutputAt, z, tables: Tables) -> Weights:
+    one = b.const(1.0)
+    least, most = b.const(-LARGEST_ARGUMENT), b.const(LARGEST_ARGUMENT)
+    found = [one] if at.active[0] == 0 else []
+    for direction, border in zip(tables("gate"), tables("gate_border"), strict=True):
+        a = b.clip(b.op("sub", b.dot(direction, z), border), least, most)
+        found.append(b.sigmoid(a))
+    return found, None
+
+
 _VALIDITY_WRITERS: dict[type, Callable[..., Weights]] = {
     Gaussians: _gaussians,
     Boxes: _boxes,
     Compact: _compact,
     LogSigmoids: _log_sigmoids,
     SigmoidTree: _sigmoid_tree,
+    AdditiveGates: _additive_gates,
 }

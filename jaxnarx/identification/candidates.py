@@ -17,6 +17,7 @@ from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.identification.narx_candidates import propose_narx
 from jaxnarx.identification.state_space_candidates import (
     SHORT_RECORDS,
+    propose_gates,
     propose_state_space,
 )
 from jaxnarx.models import Network, hold_to_range
@@ -131,6 +132,8 @@ class CandidateSearch:
         if self.data.samples <= SHORT_RECORDS:
             most = patience = 2 * most
         yield from self._train_methods(hidden, most, patience)
+        gated = propose_gates(self.data, self.profile.output, self.preset)
+        yield from self._train_methods(gated, self.preset.gates, self.preset.gates)
         fed = propose_narx(self.data, self.profile)
         yield from self._train_methods(fed, self.preset.fed_back, self.preset.patience)
 

@@ -87,6 +87,7 @@ from jaxnarx.models.storage import save as save
 from jaxnarx.models.validate import require_consistent as require_consistent
 from jaxnarx.models.validity import VALIDITIES as VALIDITIES
 from jaxnarx.models.validity import AbstractValidity as AbstractValidity
+from jaxnarx.models.validity import AdditiveGates as AdditiveGates
 from jaxnarx.models.validity import Boxes as Boxes
 from jaxnarx.models.validity import Compact as Compact
 from jaxnarx.models.validity import Gaussians as Gaussians
@@ -94,12 +95,14 @@ from jaxnarx.models.validity import LogSigmoids as LogSigmoids
 from jaxnarx.models.validity import SigmoidTree as SigmoidTree
 from jaxnarx.models.validity import count_models as count_models
 from jaxnarx.models.validity import register_validity as register_validity
+from jaxnarx.models.validity import tied_outputs as tied_outputs
 from jaxnarx.models.validity import weights_of as weights_of
 from jaxnarx.models.validity.gaussians import LEAST_LOG_WIDTH as LEAST_LOG_WIDTH
 from jaxnarx.models.validity.sigmoid_tree import LARGEST_ARGUMENT as LARGEST_ARGUMENT
 
 __all__ = [
     "AbstractValidity",
+    "AdditiveGates",
     "Boxes",
     "Compact",
     "Domain",

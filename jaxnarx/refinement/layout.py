@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program, twin
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, OutputModel
+from jaxnarx.models import Network, OutputModel, tied_outputs
 from jaxnarx.refinement.initial import Initial
 from jaxnarx.regressors import Centring
 
@@ -85,6 +85,9 @@ class Layout(eqx.Module):
     chosen: tuple[tuple[bool, ...], ...] = eqx.field(static=True)
     initial: Initial | None = None
     back: tuple[Float[Array, "_ _ _"], ...] | None = None
+    owners: tuple[int, ...] = eqx.field(static=True, default=())
+    """For every output the one whose gates it shares, itself where it has its own;
+    empty where all have."""
 
     @property
     def nameless(self) -> "Layout":
@@ -141,15 +144,22 @@ class Layout(eqx.Module):
     def _leaves(self, u: Float[Array, " params"]) -> list:
         """The trainable leaves with these parameters."""
         p = self.physical(u)
-        new, start = [], 0
+        new: list[list] = []
+        start = 0
         for output, keep in zip(_pieces(self.base), self.chosen, strict=True):
+            own = []
             for leaf, trained in zip(output, keep, strict=True):
                 if trained:
-                    new.append(p[start : start + leaf.size].reshape(leaf.shape))
+                    own.append(p[start : start + leaf.size].reshape(leaf.shape))
                     start += leaf.size
                 else:
-                    new.append(leaf)
-        placed = eqx.tree_at(_trainable_leaves, self.base, new)
+                    own.append(leaf)
+            new.append(own)
+        for o, owner in enumerate(self.owners):
+            if owner != o:
+                new[o][1:] = new[owner][1:]
+        leaves = [leaf for own in new for leaf in own]
+        placed = eqx.tree_at(_trainable_leaves, self.base, leaves)
         return _trainable_leaves(self._multiply_coefficients(placed, lambda back: back))
 
     def _multiply_coefficients(
@@ -196,6 +206,16 @@ class Layout(eqx.Module):
         """Positions of the validity functions' parameters in the vector; host only."""
         own = np.arange(self.parameters)
         return np.setdiff1d(own, self.coefficients())
+
+    def shared(self, output: int) -> tuple[int, tuple[bool, ...]] | None:
+        """Where the gates begin in the vector that an output shares with another, and
+        which of their fields are trained; None where it has its own."""
+        owner = self.owners[output] if self.owners else output
+        if owner == output:
+            return None
+        keep, pieces = self.chosen[owner], _pieces(self.base)[owner]
+        start = self.spans()[owner][0] + (pieces[0].size if keep[0] else 0)
+        return start, keep[1:]
 
     def spans(self) -> list[tuple[int, int]]:
         """Start and stop of each output's parameters in the vector."""
@@ -253,9 +273,16 @@ def make_layout(
             field="trainable",
         )
     more = 0 if initial is None else initial.size
+    owners = tied_outputs([model.validity for model in network.models])
+    chosen = tuple(
+        keep if owner == o else (keep[0], *(False for _ in keep[1:]))
+        for o, (keep, owner) in enumerate(zip(chosen, owners, strict=True))
+    )
     low, high = _bounds(network, width_band, chosen, more)
     back = _backs(network, every) if centred or every else None
-    return Layout(network, low, high, chosen, initial, back)
+    if owners == tuple(range(len(owners))):
+        owners = ()
+    return Layout(network, low, high, chosen, initial, back, owners)
 
 
 @program

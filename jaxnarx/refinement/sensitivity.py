@@ -115,12 +115,22 @@ def direct_tangents(
             seen = with_own(network, o, v, jnp.moveaxis(history[:, at], 0, -1))
         leaves, by_group = output_gradient(network, o, seen, x[o])
 
-        def flat(leaves, keep=keep, o=o, start=start, stop=stop):
+        shared = layout.shared(o)
+
+        def flat(leaves, keep=keep, o=o, start=start, stop=stop, shared=shared):
             leaves = [layout.by_vector(o, leaves[0]), *leaves[1:]]
             pairs = zip(leaves, keep, strict=True)
             pieces = [leaf.reshape(-1, rows) for leaf, kept in pairs if kept]
             own = jnp.concatenate([jnp.zeros((0, rows), v.dtype), *pieces]).T
-            return jnp.pad(own, ((0, 0), (start, total - stop)))
+            whole = jnp.pad(own, ((0, 0), (start, total - stop)))
+            if shared is None:
+                return whole
+            first, kept = shared
+            pairs = zip(leaves[1:], kept, strict=True)
+            pieces = [leaf.reshape(-1, rows) for leaf, is_kept in pairs if is_kept]
+            gates = jnp.concatenate([jnp.zeros((0, rows), v.dtype), *pieces]).T
+            last = first + gates.shape[1]
+            return whole + jnp.pad(gates, ((0, 0), (first, total - last)))
 
         out.append(flat(leaves)[:, None])
         if by_group:

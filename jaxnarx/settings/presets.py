@@ -22,6 +22,8 @@ class Preset:
     many."""
     orders: tuple[int, ...] = ()
     """Numbers of hidden states that are tried (empty: as the data suggest)."""
+    gates: int = 0
+    """How many structures of hidden states with sigmoid gates are tried."""
     patience: int = 3
     """After so many methods of a kind, none of which came near the best, the kind is
     given up; not those with hidden states of short records."""
@@ -42,7 +44,7 @@ class Preset:
         if states is None:
             return self
         if not states:
-            return dataclasses.replace(self, states=0)
+            return dataclasses.replace(self, states=0, gates=0)
         return dataclasses.replace(
             self, orders=(states,), states=max(self.states, 3), patience=3
         )
@@ -64,6 +66,7 @@ PRESETS = {
         grown=5,
         fed_back=16,
         states=9,
+        gates=6,
         patience=16,
         sums=4,
         longest=60_000,

@@ -24,6 +24,11 @@ class HiddenStates:
     regions: Count = 1
     """Most regions, in each of which everything has local models; with degree one they
     are linear. Every number from two on is trained."""
+    gates: int = 0
+    """Sigmoid gates along learned directions of states and inputs, which outputs and
+    states share; with degree one and one region."""
+    draw: int = 0
+    """Number of the draw of the gates: another number draws other ones."""
     shrink: Sequence[float] = (0.1, 0.01, 0.001)
     """Regularisation of the coefficients, see `SimulationError`: at first towards the
     linear model, then towards where the last value has led. The training goes through
@@ -42,6 +47,13 @@ class HiddenStates:
     more the best start goes on alone."""
 
     def __post_init__(self):
+        plain = self.degree == 1 and self.regions == 1
+        require(
+            self.gates >= 0 and (self.gates == 0 or plain),
+            "gates",
+            f"gates must be at least 0, and need degree 1 and one region; got "
+            f"{self.gates} gates, degree {self.degree}, {self.regions} regions",
+        )
         falling = all(a > b for a, b in zip(self.shrink, self.shrink[1:], strict=False))
         require(
             len(self.shrink) > 0 and falling and self.shrink[-1] >= 0,

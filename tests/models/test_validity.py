@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.contracts import validity
-from jaxnarx.models import Boxes, Compact, Gaussians, LogSigmoids
+from jaxnarx.models import AdditiveGates, Boxes, Compact, Gaussians, LogSigmoids
 
 weights = eqx.filter_jit(lambda f, z, active: f(z, active))
 
@@ -37,6 +37,11 @@ SHAPES = {
     "compact": (compact(), 2, 6),
     "log-sigmoids": (sigmoids(), 1, 4),
     "steep log-sigmoids": (sigmoids(1e5), 1, 4),
+    "additive gates": (
+        AdditiveGates(array([[3.0, -2.0], [0.0, 5.0]]), array([0.4, 2.0])),
+        2,
+        3,
+    ),
 }
 
 

@@ -24,6 +24,7 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import require_known
 from jaxnarx.data import Dataset, thin_records
 from jaxnarx.errors import DataError, JaxnarxError
+from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.linear.state_space.network import (
     increase_degree,
     set_state_ranges,
@@ -91,6 +92,8 @@ def fit_states(
     path: list[Network] = []
     ends: list[_Start] = []
     errors = {start.name: start.error for start in starts}
+    if method.gates:
+        starts = [_gated(min(starts, key=_training_error), few, method, progress)]
     if method.regions > 1:
         starts = sorted(starts, key=_training_error)[:DIVIDED_STARTS]
         starts = [_roomy(start, method.regions) for start in starts]
@@ -187,6 +190,19 @@ def _roomy(start: _Start, regions: int) -> _Start:
     network = dataclasses.replace(start.fit.value, low=low, high=high)
     network = pad_models(network, regions)
     return dataclasses.replace(start, fit=dataclasses.replace(start.fit, value=network))
+
+
+def _gated(
+    start: _Start, data: Dataset, method: HiddenStates, progress: Tell | None
+) -> _Start:
+    """Add gates, drawn over what the start visits, and take the first steps."""
+    network = dataclasses.replace(
+        start.fit.value, low=start.ranged.low, high=start.ranged.high
+    )
+    network = add_gates(network, data, method.gates, method.draw)
+    fit = _train(network, data, method.first_steps, method.shrink[0], progress)
+    ranged = set_state_ranges(fit.value, data)
+    return _Start(start.name, fit, ranged, _error(ranged, data))
 
 
 def _divide(

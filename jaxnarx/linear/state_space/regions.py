@@ -77,7 +77,7 @@ def pad_models(network: Network, most: int) -> Network:
 
 def split_candidates(network: Network, data: Dataset) -> Iterator[Network]:
     """The network with its worst leaf divided, across every axis of the data."""
-    points, wrong = _visited_points(network, data)
+    points, wrong = visited_points(network, data)
     first = network.models[0]
     every = weights_at(first, points)
     leaf = int(np.argmax(every @ wrong))
@@ -90,7 +90,7 @@ def split_candidates(network: Network, data: Dataset) -> Iterator[Network]:
         yield dataclasses.replace(network, models=tuple(models))
 
 
-def _visited_points(
+def visited_points(
     network: Network, data: Dataset
 ) -> tuple[Float[np.ndarray, "rows dims"], Float[np.ndarray, " rows"]]:
     """Last states and inputs of a free run, and the squared error of all outputs."""

@@ -10,6 +10,7 @@ from jaxnarx.models.validity.abstract import (
     count_models,
     weights_of,
 )
+from jaxnarx.models.validity.additive_gates import AdditiveGates, tied_outputs
 from jaxnarx.models.validity.boxes import Boxes
 from jaxnarx.models.validity.compact import Compact
 from jaxnarx.models.validity.gaussians import Gaussians
@@ -38,7 +39,10 @@ VALIDITIES: Registry[type[AbstractValidity]] = Registry(
     "validity function",
     {
         kind.__name__: kind
-        for kind in (Gaussians, Boxes, Compact, LogSigmoids, SigmoidTree)
+        for kind in (
+            *(Gaussians, Boxes, Compact, LogSigmoids, SigmoidTree),
+            AdditiveGates,
+        )
     },
     check=_require_arrays,
 )
@@ -60,6 +64,7 @@ def register_validity(kind: type[AbstractValidity]) -> type[AbstractValidity]:
 __all__ = [
     "CENTRE_ROOM",
     "AbstractValidity",
+    "AdditiveGates",
     "Boxes",
     "Compact",
     "Gaussians",
@@ -68,5 +73,6 @@ __all__ = [
     "VALIDITIES",
     "count_models",
     "register_validity",
+    "tied_outputs",
     "weights_of",
 ]

@@ -22,7 +22,8 @@ Region = dict[str, dict[str, float]]
 
 
 class AbstractValidity(eqx.Module):
-    """Maps points to weights that sum to one over the active models.
+    """Maps points to weights of the active models, which sum to one if not said
+    otherwise.
 
     Points are columns of scaled scheduling variables, [0, 1] the training range of
     each; samples, where there are several, are trailing axes. Active models come
@@ -31,6 +32,9 @@ class AbstractValidity(eqx.Module):
 
     trained: ClassVar[tuple[str, ...]]
     """Fields that a refinement may move."""
+    sums_to_one: ClassVar[bool] = True
+    """Whether the weights of the active models sum to one; otherwise the local models
+    are added up, each as far as it counts."""
     is_convex: ClassVar[bool] = False
     """Whether the weights are never negative and sum to one for all that `check` takes.
 

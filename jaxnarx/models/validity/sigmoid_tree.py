@@ -127,7 +127,7 @@ def _leaf(names, factor, level, lead, path: list[int]) -> Region:
     for g, side in enumerate(path):
         if side == 0 or lead[g] == 0:
             continue
-        text = _combination(names, factor[g] / lead[g])
+        text = combination_text(names, factor[g] / lead[g])
         value, bounds = float(level[g] / lead[g]), region.setdefault(text, {})
         if side * lead[g] > 0:
             bounds["above"] = max(bounds.get("above", value), value)
@@ -136,8 +136,8 @@ def _leaf(names, factor, level, lead, path: list[int]) -> Region:
     return region
 
 
-def _combination(names: Sequence[str], factor: np.ndarray) -> str:
-    """`speed[t] - 0.3 load[t]`."""
+def combination_text(names: Sequence[str], factor: np.ndarray) -> str:
+    """A combination of variables in words: `speed[t] - 0.3 load[t]`."""
     text = ""
     for name, c in zip(names, factor.tolist(), strict=True):
         if c == 0.0:

@@ -319,7 +319,7 @@ class _Panel:
 
 def _placed(axis: Axis) -> list[tuple[Number, str]]:
     """Shares of the way and texts of the ticks."""
-    places = axis.share(np.array([v for v, _ in axis.ticks]))
+    places = axis.share(np.array([v for v, _ in axis.ticks], float))
     return list(zip(places.tolist(), (t for _, t in axis.ticks), strict=True))
 
 

@@ -217,6 +217,7 @@ def _models(report: Report) -> list[dict[str, Any]]:
         out.append(
             {
                 "output": output,
+                "adds": output in _adding_outputs(report.network),
                 "regions": [_region_text(e.get("region", "")) for e in equations],
                 "numbers": [e.get("model", i + 1) for i, e in enumerate(equations)],
                 "terms": [(n, [c.get(n) for c in columns]) for n in names],
@@ -224,6 +225,16 @@ def _models(report: Report) -> list[dict[str, Any]]:
             }
         )
     return out
+
+
+def _adding_outputs(network: Any) -> set[str]:
+    """Outputs whose local models add up instead of sharing a weight of one."""
+    pairs = zip(
+        getattr(network, "computed_names", ()),
+        getattr(network, "models", ()),
+        strict=False,
+    )
+    return {name for name, m in pairs if not getattr(m.validity, "sums_to_one", True)}
 
 
 def _region_text(value: object) -> str:
