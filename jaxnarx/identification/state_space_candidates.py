@@ -89,7 +89,8 @@ def propose_gates(
         found = linear_order(
             thin_records(data, SEARCH_SAMPLES), output, MOST_LINEAR_STATES
         )
-        states = tuple(dict.fromkeys([*([] if found is None else [found]), 3, 2]))
+        usual = (3, 2) if found is None else (found, 3, 2)
+        states = tuple(dict.fromkeys(usual))
     low, high = WINDOW_LIMITS
     most = min(MOST_COEFFICIENTS, data.samples / SAMPLES_PER_COEFFICIENT)
     for gates, draw in GATES_TRIED:
