@@ -58,7 +58,8 @@ def test_a_verb_with_random_arguments(verb, battery, tmp_path, monkeypatch):
         with jax.numpy_dtype_promotion("standard"):  # as users have it
             VERBS[verb](**given)
 
-    battery.run(attempt, seconds=20, megabytes=1000)
+    # The first call of a verb compiles, for half a minute on a slow machine.
+    battery.run(attempt, seconds=90, megabytes=1000)
 
 
 def _takes_many(parameter) -> bool:
