@@ -120,7 +120,7 @@ def same_unit(a: str, b: str) -> bool:
 
 
 def dimension(unit: str) -> str | None:
-    """What a unit measures, such as `"temperature"`; None where it is not known."""
+    """The quantity of a unit, such as `"temperature"`; None where it is not known."""
     found = _KNOWN_UNITS.get(bare(unit))
     return None if found is None else found[0]
 

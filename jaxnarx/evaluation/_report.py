@@ -122,8 +122,7 @@ class Report:
 
     @property
     def findings(self) -> dict[str, Section]:
-        """What its fields say of errors, intervals, cost, rules and poles, as
-        sections."""
+        """Its errors, intervals, cost, rules and poles as sections."""
         return findings(self)
 
     @property

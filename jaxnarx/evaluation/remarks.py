@@ -248,7 +248,7 @@ LISTED_GAINS = 3
 LISTED_TOTALS = 4
 """Outputs whose cycle totals are told."""
 LEVELS = "temperature", "pressure", "speed of rotation", "velocity", "angle", "length"
-"""What is no amount that a sum over a record would add up."""
+"""Quantities that are levels: a sum of them over a record means nothing."""
 
 
 def verdict_remarks(report: Any) -> Iterator[str]:

@@ -28,7 +28,7 @@ _CYCLE_SHADES = (
     ("#ffffff", 0.5),
     ("#000000", 0.7),
 )
-"""What the palette is mixed with, and how much of it, each time it is used up."""
+"""The palette is mixed with so much of these each time it is used up."""
 
 DARKENING = ("#eaf3f9", "#a3cce4", "#4b9fcd", "#0a6aa5", "#06324f")
 DIVERGING = ("#0b4f85", "#6fb1da", "#f4f4f4", "#efa36b", "#a63c00")

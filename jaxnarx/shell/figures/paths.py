@@ -1,4 +1,4 @@
-"""What marks are in SVG: paths in whole tenths of a point, strokes and fills."""
+"""Marks in SVG: paths in whole tenths of a point, strokes and fills."""
 
 import base64
 import itertools

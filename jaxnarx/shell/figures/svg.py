@@ -2,8 +2,7 @@
 
 A page shows its figures where no script runs, on paper too, so they are elements of it.
 They are short (whole tenths of a point, each point told from the one before), take ink,
-grid and palette from the style of the page, and are quick: a report of three records
-spent most of its time in a drawing library.
+grid and palette from the style of the page, and need no drawing library.
 """
 
 import dataclasses

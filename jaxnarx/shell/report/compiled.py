@@ -1,4 +1,4 @@
-"""Templates of the page as they were compiled before: half a second of every report."""
+"""Templates of the page as they were compiled before."""
 
 import contextlib
 import hashlib
