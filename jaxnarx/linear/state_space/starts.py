@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require_known
 from jaxnarx.data import Dataset
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.linear.state_space.model import StateSpace
@@ -62,7 +63,9 @@ def linear_order(data: Dataset, output: str, most: int) -> int | None:
     The criterion is the error of their free runs on the data, within
     `NEARLY_BEST_FACTOR` of the least; None where there is no such model.
     """
-    every = _arrays(data, [data.channels.output_names.index(output)])
+    names = data.channels.output_names
+    require_known(output, names, "output", f"unknown output {output!r}")
+    every = _arrays(data, [names.index(output)])
     try:
         models = subspace_models(orders=range(1, most + 1), **every)
     except JaxnarxError:
