@@ -44,6 +44,7 @@ from jaxnarx.data.lags import LagSuggestion as LagSuggestion
 from jaxnarx.data.lags import bank_times as bank_times
 from jaxnarx.data.lags import step_times as step_times
 from jaxnarx.data.lags import suggest_lags as suggest_lags
+from jaxnarx.data.missing import hold as hold
 from jaxnarx.data.pieces import usual_length as usual_length
 from jaxnarx.data.preparation import AbstractStep as AbstractStep
 from jaxnarx.data.preparation import Changes as Changes
@@ -111,6 +112,7 @@ __all__ = [
     "fingerprint",
     "first_look",
     "groups",
+    "hold",
     "hold_out",
     "convert_units",
     "join",

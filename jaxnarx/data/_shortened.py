@@ -14,13 +14,14 @@ GOLDEN_RATIO = (5**0.5 - 1) / 2
 """Its multiples, less whole numbers, are spread evenly whatever their count."""
 
 
-def thin_records(data: Dataset, rows: int) -> Dataset:
+def thin_records(data: Dataset, rows: int, shortest: int = 0) -> Dataset:
     """At most about `rows` samples, in their order and at their sample time.
 
     Every record keeps the same share: a long one as stretches at equal distances, the
     first at its begin and the last at its end, short ones as one stretch, each at
-    another place. The stretches are records of their own, of the same group. Data that
-    fit already are returned as they are.
+    another place. The stretches are records of their own, of the same group, of at
+    least `shortest` samples where the share of a record is that long. Data that fit
+    already are returned as they are.
     """
     if data.samples <= rows:
         return data
@@ -28,14 +29,16 @@ def thin_records(data: Dataset, rows: int) -> Dataset:
     records = [
         part
         for n, record in enumerate(data)
-        for part in _stretches(record, share, n * GOLDEN_RATIO % 1.0)
+        for part in _stretches(record, share, n * GOLDEN_RATIO % 1.0, shortest)
     ]
     return dataclasses.replace(data, records=tuple(records))
 
 
-def _stretches(record: Record, share: float, place: float) -> list[Record]:
+def _stretches(
+    record: Record, share: float, place: float, shortest: int
+) -> list[Record]:
     kept = max(int(share * len(record)), 1)
-    count = min(MAX_STRETCHES, max(kept // STRETCH_SAMPLES, 1))
+    count = min(MAX_STRETCHES, max(kept // max(STRETCH_SAMPLES, shortest), 1))
     if count == 1:
         first = int(place * (len(record) - kept + 1))
         return [record.part(first, first + kept)]

@@ -29,6 +29,9 @@ SUMMED_FAMILIES = "OE", "OE with filtered inputs", "polynomial", "shared feedbac
 """Families of which sums are made."""
 MOST_ADDED = 20
 """Methods that are tried of each family that another package adds."""
+GATES_PATIENCE = 1
+"""After so many structures with gates, none of which came near the best, they are given
+up."""
 NEAR_BEST_FACTOR = 1.5
 """Error, as a multiple of the best candidate's, up to which a kind is promising."""
 
@@ -132,8 +135,10 @@ class CandidateSearch:
         if self.data.samples <= SHORT_RECORDS:
             most = patience = 2 * most
         yield from self._train_methods(hidden, most, patience)
-        gated = propose_gates(self.data, self.profile.output, self.preset)
-        yield from self._train_methods(gated, self.preset.gates, self.preset.gates)
+        gated = propose_gates(self.data, self.profile, self.preset)
+        most = self.preset.gates
+        patience = most if self.preset.rule == "best" else GATES_PATIENCE
+        yield from self._train_methods(gated, most, patience)
         fed = propose_narx(self.data, self.profile)
         yield from self._train_methods(fed, self.preset.fed_back, self.preset.patience)
 
@@ -243,10 +248,15 @@ class CandidateSearch:
             self.groups,
             self.spread,
             self.best,
-            self.preset.longest,
+            self._most_rows(method),
             begin=self.profile.begin,
             watch=watch,
         )
+
+    def _most_rows(self, method: Identification | HiddenStates) -> int:
+        """Samples that train a candidate at most."""
+        gated = isinstance(method, HiddenStates) and method.gates > 0
+        return self.preset.longest_gated if gated else self.preset.longest
 
     def _score_trained(
         self, family: str, name: str, found: CrossValidation, seconds: float

@@ -182,7 +182,8 @@ def fit_full(
     limit = (
         np.inf if best is None else FIRST_STEPS_FACTOR * float(np.nanmean(best)) ** 0.5
     )
-    fit = fit_states(_some(data, rows), method, hopeless=limit)
+    some = _some(data, rows, method.stretch)
+    fit = fit_states(some, method, hopeless=limit)
     return _hold_to_range(fit.stats["path"], data)
 
 
@@ -221,7 +222,8 @@ def refit(
     """A network trained once more, on these data, and held to what all that are known
     say; None where that fails."""
     try:
-        one = refit_states(network, _some(data, rows), method, pull)
+        some = _some(data, rows, method.stretch)
+        one = refit_states(network, some, method, pull)
     except (JaxnarxError, np.linalg.LinAlgError):
         return None
     return _hold_to_range([one], known)[0]
@@ -257,16 +259,17 @@ def fit_method(
     """The networks of a method, trained on at most so many samples and held to the
     range of all that are known, by default these: with hidden states one for every
     stage, else one alone."""
-    some, known = _some(data, rows), data if known is None else known
+    shortest = method.stretch if isinstance(method, HiddenStates) else 0
+    some, known = _some(data, rows, shortest), data if known is None else known
     if isinstance(method, HiddenStates):
         return _hold_to_range(fit_states(some, method).stats["path"], known)
     return _hold_to_range([run_method(some, method, None, None).value], known)
 
 
-def _some(data: Dataset, rows: int | None) -> Dataset:
+def _some(data: Dataset, rows: int | None, shortest: int = 0) -> Dataset:
     """Stretches of so many samples, of those that are valid."""
     count = sum(int(r.valid.any(axis=1).sum()) for r in data)
-    return data if rows is None or count <= rows else thin_records(data, rows)
+    return data if rows is None or count <= rows else thin_records(data, rows, shortest)
 
 
 def _hold_to_range(networks: list[Network], known: Dataset) -> list[Network]:

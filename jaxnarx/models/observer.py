@@ -41,8 +41,13 @@ def hidden_start(
     measured: Float[Array, "time outputs"],
     known: Bool[Array, "time outputs"],
     start: Int[Array, ""],
+    *,
+    exact: bool = True,
 ) -> tuple[Float[Array, "depth hidden"], Float[Array, " hidden"]]:
-    """Hidden values before sample `start`, and those at the end of the window."""
+    """Hidden values before sample `start`, and those at the end of the window.
+
+    Where nobody asks for derivatives, without `exact`, there are none.
+    """
     lags, count = depth(network), len(network.modelled)
     size = min(lags + network.window, measured.shape[0])
     row = jnp.clip(start - lags, 0, measured.shape[0] - size)
@@ -68,7 +73,8 @@ def hidden_start(
 
     starts = spread_out(lags * network.hidden).astype(measured.dtype)
     losses = jax.lax.map(lambda s: jnp.sum(residual(s) ** 2), jnp.asarray(starts))
-    s = _least(residual, jnp.asarray(starts)[jnp.argmin(losses)])
+    least = _least if exact else _minimise
+    s = least(residual, jnp.asarray(starts)[jnp.argmin(losses)])
     begin, y = outputs(s)
     return begin, y[-1, count:]
 
@@ -80,11 +86,13 @@ def with_hidden_start(
     measured: Float[Array, "time outputs"],
     known: Bool[Array, "time outputs"],
     start: Int[Array, ""],
+    *,
+    exact: bool = True,
 ) -> Float[Array, "time outputs"]:
     """The scaled outputs of a record with the hidden channels' values before sample
     `start`; zeros where there is no such sample (`start` is the record's length)."""
     lags, count = depth(network), len(network.modelled)
-    found, _ = hidden_start(network, v, x, measured, known, start)
+    found, _ = hidden_start(network, v, x, measured, known, start, exact=exact)
     row = jnp.clip(start - lags, 0, measured.shape[0] - lags)
     block = jax.lax.dynamic_slice_in_dim(measured, row, lags)
     there = start < measured.shape[0]
@@ -116,27 +124,11 @@ def spread_out(n: int) -> Float[np.ndarray, "points n"]:
 
 
 def _least(residual, s: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Levenberg-Marquardt with a fixed number of steps, for batches of small
-    problems.
+    """Levenberg-Marquardt with a fixed number of steps, for batches of small problems.
 
     Its derivative is that of the minimum, by the implicit function theorem: that of the
     steps would cost many times as much, and is rougher where one is rejected.
     """
-
-    def step(_, state):
-        s, r, damping = state
-        jacobian = jax.jacfwd(residual)(s)
-        gram = jacobian.T @ jacobian
-        damped = gram + damping * jnp.diag(jnp.diagonal(gram))
-        new = s - jnp.linalg.solve(damped, jacobian.T @ r)
-        other = residual(new)
-        lower = jnp.sum(other**2) < jnp.sum(r**2)
-        damping = jnp.where(lower, damping / 5.0, damping * 5.0)
-        return jnp.where(lower, new, s), jnp.where(lower, other, r), damping
-
-    def minimise(_, s):
-        start = s, residual(s), jnp.asarray(FIRST_DAMPING, s.dtype)
-        return jax.lax.fori_loop(0, MOST_STEPS, step, start)[0]
 
     def slope(s):
         return jax.grad(lambda s: 0.5 * jnp.sum(residual(s) ** 2))(s)
@@ -144,4 +136,36 @@ def _least(residual, s: Float[Array, " n"]) -> Float[Array, " n"]:
     def solve(curvature, right):
         return jnp.linalg.solve(jax.jacfwd(curvature)(right), right)
 
+    def minimise(_, s):
+        return _minimise(residual, s)
+
     return jax.lax.custom_root(slope, s, minimise, solve)
+
+
+def _minimise(residual, s: Float[Array, " n"]) -> Float[Array, " n"]:
+    """The steps. Value and derivatives of a point come from one run, that of the start
+    from a first step of length zero: compiling runs is what this costs."""
+
+    def step(_, state):
+        s, square, gram, gradient, damping = state
+        damped = gram + damping * jnp.diag(jnp.diagonal(gram))
+        new = s - jnp.linalg.solve(damped, gradient)
+        r, forward = jax.linearize(residual, new)
+        jacobian = jax.vmap(forward, out_axes=1)(jnp.eye(len(s), dtype=s.dtype))
+        found = jnp.sum(r**2), jacobian.T @ jacobian, jacobian.T @ r
+        lower = found[0] < square
+        damping = jnp.where(lower, damping / 5.0, damping * 5.0)
+        kept = [
+            jnp.where(lower, a, b)
+            for a, b in zip((new, *found), (s, square, gram, gradient), strict=True)
+        ]
+        return *kept, damping
+
+    first = (
+        s,
+        jnp.asarray(jnp.inf, s.dtype),
+        jnp.eye(len(s), dtype=s.dtype),
+        jnp.zeros_like(s),
+        jnp.asarray(5.0 * FIRST_DAMPING, s.dtype),
+    )
+    return jax.lax.fori_loop(0, 1 + MOST_STEPS, step, first)[0]

@@ -19,6 +19,7 @@ from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.prediction import refine_prediction
 from jaxnarx.refinement.search import Search, takes_windows
+from jaxnarx.refinement.shared_terms import shares_terms
 from jaxnarx.refinement.stable import refine_stable
 from jaxnarx.refinement.starts import random_start, remedies
 from jaxnarx.refinement.training_data import (
@@ -153,7 +154,10 @@ def refine(
     initial = initial_conditions(network, task, measured=estimated)
     band = method.width_band
     every = plain and method.shrink > 0
-    layout = make_layout(network, trainable, band, initial, centred=plain, every=every)
+    layout = make_layout(
+        network, trainable, band, initial, centred=plain, every=every, dense=True
+    )
+    layout = dataclasses.replace(layout, shared_terms=shares_terms(layout))
     found = None
     if method.folds:
         found = groups(

@@ -13,6 +13,7 @@ from jaxnarx.models import fold_slopes
 from jaxnarx.refinement.criterion import Criterion, squares
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.sensitivity import stream
+from jaxnarx.refinement.shared_terms import normal_equations_of_shared
 from jaxnarx.simulation import RunInputs, run, states
 
 
@@ -105,10 +106,14 @@ def normal_equations(
         r = jnp.where(root > 0, error * root, 0.0).reshape(-1)
         return (gradient + r @ jacobian, products + gram(jacobian)), None
 
-    zero = jnp.zeros(params, y.dtype), jnp.zeros((params, params), y.dtype)
     finished = network, layout, every, drive_of, anchor
     block = jnp.sqrt(share), error, bend
-    (gradient, products), _ = stream(*finished, direct, params, consume, zero, block)
+    if layout.shared_terms:
+        gradient, products = normal_equations_of_shared(*finished, slope, block)
+    else:
+        zero = jnp.zeros(params, y.dtype), jnp.zeros((params, params), y.dtype)
+        rest = direct, params, consume, zero, block
+        (gradient, products), _ = stream(*finished, *rest)
     if layout.initial is not None:
         extra = layout.initial.weight.reshape(-1)
         at = layout.parameters + jnp.arange(extra.shape[0])

@@ -64,6 +64,9 @@ def _trainable_leaves(network: Network) -> list:
     return [leaf for output in _pieces(network) for leaf in output]
 
 
+FEW_SLOTS_SHARE = 0.5
+"""Share of the places for coefficients that are in use, from which on the others stand
+in the vector too: a program of its own for every pattern would cost more."""
 LIMIT_MARGIN = 1e-3
 """Share of its range that a bounded parameter keeps from its limits: at a limit the
 slope vanishes and it could never leave."""
@@ -88,6 +91,12 @@ class Layout(eqx.Module):
     owners: tuple[int, ...] = eqx.field(static=True, default=())
     """For every output the one whose gates it shares, itself where it has its own;
     empty where all have."""
+    slots: tuple[Int[Array, " _"] | None, ...] = ()
+    """For every output the places of the coefficients that stand in the vector, where
+    few are in use; None for all."""
+    shared_terms: bool = eqx.field(static=True, default=False)
+    """Whether all that is computed has the same terms and gates, all of them trained
+    (`shared_terms.shares_terms`)."""
 
     @property
     def nameless(self) -> "Layout":
@@ -147,13 +156,20 @@ class Layout(eqx.Module):
         new: list[list] = []
         start = 0
         for output, keep in zip(_pieces(self.base), self.chosen, strict=True):
+            slots = self._slots(len(new))
             own = []
-            for leaf, trained in zip(output, keep, strict=True):
-                if trained:
+            for n, (leaf, trained) in enumerate(zip(output, keep, strict=True)):
+                if not trained:
+                    own.append(leaf)
+                elif n == 0 and slots is not None:
+                    value = p[start : start + slots.size]
+                    own.append(
+                        leaf.reshape(-1).at[slots].set(value).reshape(leaf.shape)
+                    )
+                    start += slots.size
+                else:
                     own.append(p[start : start + leaf.size].reshape(leaf.shape))
                     start += leaf.size
-                else:
-                    own.append(leaf)
             new.append(own)
         for o, owner in enumerate(self.owners):
             if owner != o:
@@ -187,19 +203,33 @@ class Layout(eqx.Module):
             return leaf
         return jnp.einsum("mst,mtr->msr", self.back[output], leaf)
 
+    def _slots(self, output: int) -> Int[Array, " _"] | None:
+        return self.slots[output] if self.slots else None
+
+    def rows_of(
+        self, output: int, leaves: list[Float[Array, "*shape rows"]]
+    ) -> list[Float[Array, "_ rows"]]:
+        """What belongs to the trained parameters of an output, a row each, from arrays
+        shaped like its trainable leaves."""
+        found = []
+        for n, (leaf, kept) in enumerate(zip(leaves, self.chosen[output], strict=True)):
+            if kept:
+                flat, slots = leaf.reshape(-1, leaf.shape[-1]), self._slots(output)
+                found.append(flat if n or slots is None else flat[slots])
+        return found
+
     def flat(self, network: Network) -> Float[Array, " params"]:
         """The trained parameters of `network` as they stand; zeros for offsets."""
-        own = _concatenate(_pieces(network), self.chosen)
+        own = _concatenate(_pieces(network), self.chosen, self.slots)
         return jnp.pad(own, (0, self.low.shape[0] - own.shape[0]))
 
     def coefficients(self) -> Int[np.ndarray, " _"]:
         """Positions of the local models' coefficients in the vector; host only."""
-        at, start = [], 0
-        for output, keep in zip(_pieces(self.base), self.chosen, strict=True):
-            for n, (leaf, trained) in enumerate(zip(output, keep, strict=True)):
-                if trained and n == 0:
-                    at.append(np.arange(start, start + leaf.size))
-                start += leaf.size if trained else 0
+        at = []
+        pairs = zip(self.spans(), self._sizes(), self.chosen, strict=True)
+        for (start, _), sizes, keep in pairs:
+            if keep[0]:
+                at.append(np.arange(start, start + sizes[0]))
         return np.concatenate([np.arange(0), *at])
 
     def partition(self) -> Int[np.ndarray, " _"]:
@@ -213,27 +243,36 @@ class Layout(eqx.Module):
         owner = self.owners[output] if self.owners else output
         if owner == output:
             return None
-        keep, pieces = self.chosen[owner], _pieces(self.base)[owner]
-        start = self.spans()[owner][0] + (pieces[0].size if keep[0] else 0)
+        keep = self.chosen[owner]
+        start = self.spans()[owner][0] + self._sizes()[owner][0]
         return start, keep[1:]
 
     def spans(self) -> list[tuple[int, int]]:
         """Start and stop of each output's parameters in the vector."""
-        sizes = [
-            sum(leaf.size for leaf, k in zip(output, keep, strict=True) if k)
-            for output, keep in zip(_pieces(self.base), self.chosen, strict=True)
-        ]
-        ends = np.cumsum([0, *sizes]).tolist()
+        ends = np.cumsum([0, *map(sum, self._sizes())]).tolist()
         return list(zip(ends[:-1], ends[1:], strict=True))
 
+    def _sizes(self) -> list[list[int]]:
+        """How many entries of the vector each trainable leaf has, by output."""
+        found = []
+        pairs = zip(_pieces(self.base), self.chosen, strict=True)
+        for o, (output, keep) in enumerate(pairs):
+            sizes = [leaf.size * k for leaf, k in zip(output, keep, strict=True)]
+            slots = self._slots(o)
+            if keep[0] and slots is not None:
+                sizes[0] = slots.size
+            found.append(sizes)
+        return found
 
-def _concatenate(pieces, chosen) -> Float[Array, " params"]:
-    leaves = [
-        leaf.reshape(-1)
-        for output, keep in zip(pieces, chosen, strict=True)
-        for leaf, k in zip(output, keep, strict=True)
-        if k
-    ]
+
+def _concatenate(pieces, chosen, slots=()) -> Float[Array, " params"]:
+    leaves = []
+    for o, (output, keep) in enumerate(zip(pieces, chosen, strict=True)):
+        own = slots[o] if slots else None
+        for n, (leaf, kept) in enumerate(zip(output, keep, strict=True)):
+            if kept:
+                flat = leaf.reshape(-1)
+                leaves.append(flat if n or own is None else flat[own])
     if not leaves:
         raise SpecError("nothing is trainable", field="trainable")
     return jnp.concatenate(leaves)
@@ -247,13 +286,15 @@ def make_layout(
     *,
     centred: bool = False,
     every: bool = False,
+    dense: bool = False,
 ) -> Layout:
     """Layout of the leaves that are True in `trainable` (default: all with an effect).
 
     `centred` frees the vector's coefficients of the offsets of channels that are far
     from zero, where there are any, and with `every` of all channels' offsets and
-    spreads; host only. Only coefficients and validity functions
-    can be trained; a True elsewhere raises `SpecError`.
+    spreads; host only. With `dense`, host only too, coefficients that no term uses have
+    no entry where most are such. Only coefficients and validity functions can be
+    trained; a True elsewhere raises `SpecError`.
     """
     tree = freeze(network) if trainable is None else trainable
     flags = jax.tree.structure(tree) == jax.tree.structure(network)
@@ -278,11 +319,23 @@ def make_layout(
         keep if owner == o else (keep[0], *(False for _ in keep[1:]))
         for o, (keep, owner) in enumerate(zip(chosen, owners, strict=True))
     )
-    low, high = _bounds(network, width_band, chosen, more)
+    slots = _used_slots(network) if dense else ()
+    low, high = _bounds(network, width_band, chosen, more, slots)
     back = _backs(network, every) if centred or every else None
     if owners == tuple(range(len(owners))):
         owners = ()
-    return Layout(network, low, high, chosen, initial, back, owners)
+    return Layout(network, low, high, chosen, initial, back, owners, slots)
+
+
+def _used_slots(network: Network) -> tuple[Int[Array, " _"] | None, ...]:
+    """The places of coefficients in use, by output, where few are; empty where there is
+    no such output."""
+    found = []
+    for model in network.models:
+        used = np.asarray(model.local.used).reshape(-1)
+        few = used.sum() <= FEW_SLOTS_SHARE * used.size
+        found.append(jax.device_put(np.flatnonzero(used)) if few else None)
+    return () if all(one is None for one in found) else tuple(found)
 
 
 @program
@@ -291,6 +344,7 @@ def _bounds(
     width_band: tuple[float | int, float | int],
     chosen: tuple[tuple[bool, ...], ...],
     more: int,
+    slots: tuple[Int[Array, " _"] | None, ...],
 ) -> list[Float[Array, " params"]]:
     """Lower and upper limits of what is trained, and of so many offsets behind it."""
     limits = [m.validity.limits(width_band) for m in network.models]
@@ -300,7 +354,7 @@ def _bounds(
             [jnp.full_like(m.local.coefficient, sign), *limit[side].parameters]
             for m, limit in zip(network.models, limits, strict=True)
         ]
-        own = _concatenate(pieces, chosen)
+        own = _concatenate(pieces, chosen, slots)
         found.append(jnp.pad(own, (0, more), constant_values=sign))
     return found
 

@@ -107,8 +107,8 @@ def direct_tangents(
     rows = v.shape[1]
     total = layout.low.shape[0]
     out, alone = [], []
-    parts = zip(network.models, layout.chosen, places(network), strict=True)
-    for o, (model, keep, at) in enumerate(parts):
+    parts = zip(network.models, places(network), strict=True)
+    for o, (model, at) in enumerate(parts):
         start, stop = layout.spans()[o]
         seen = v
         if model.own is not None:
@@ -117,10 +117,9 @@ def direct_tangents(
 
         shared = layout.shared(o)
 
-        def flat(leaves, keep=keep, o=o, start=start, stop=stop, shared=shared):
+        def flat(leaves, o=o, start=start, stop=stop, shared=shared):
             leaves = [layout.by_vector(o, leaves[0]), *leaves[1:]]
-            pairs = zip(leaves, keep, strict=True)
-            pieces = [leaf.reshape(-1, rows) for leaf, kept in pairs if kept]
+            pieces = layout.rows_of(o, leaves)
             own = jnp.concatenate([jnp.zeros((0, rows), v.dtype), *pieces]).T
             whole = jnp.pad(own, ((0, 0), (start, total - stop)))
             if shared is None:
@@ -209,11 +208,49 @@ def stream(
     time, ...) that are cut alike; padding of the last block is zero there. Results of
     `consume` other than the carry are stacked along a leading axis of blocks.
     """
-    records, time, states = y.shape
+    records, _, states = y.shape
     outputs, lags = len(network.models), depth(network)
+
+    def one(block, at, record, past):
+        v, x, history, own = block
+        a, limited = slopes(network, v, x, history)
+        v, x = with_history(network, v, x, jnp.moveaxis(history, 0, -1))
+        tangents = direct_tangents(network, layout, v, x, limited, history)
+        tangents = direct(tangents, (a, own), at, record)
+        return linear_recurrence(jnp.where(own[:, None, None], a, 0.0), tangents, past)
+
+    def consume_outputs(carry, s, extra):
+        return consume(carry, s[:, :, :outputs], extra)
+
+    past = jnp.zeros((records, lags, states, columns), y.dtype)
+    run = network, y, drive, anchor
+    return walk_blocks(*run, one, past, consume_outputs, carry, extra)
+
+
+Rows = Callable[[Any, Any, Any, Any], tuple[Any, Float[Array, "rows states columns"]]]
+
+
+def walk_blocks(
+    network: Network,
+    y: Float[Array, "records time states"],
+    drive: RunInputs,
+    anchor: Bool[Array, "records time"],
+    rows: Rows,
+    past: Float[Array, "records ..."],
+    consume: Consumer,
+    carry: Any,
+    extra: Any,
+) -> tuple[Any, Any]:
+    """Blocks of a finished run one after the other; see `stream`.
+
+    `rows(block, time, record, past)` makes the sensitivities of one record over one
+    block, its variables, scheduling variables, history and which of that is its own; it
+    returns the end and all.
+    """
+    records, time, _ = y.shape
     blocks = -(-time // max(16, BLOCK_SAMPLES // records))
     size = -(-time // blocks)
-    past, own = seen_history(network, y, drive.measured, anchor)
+    seen, own = seen_history(network, y, drive.measured, anchor)
 
     def pad(a, axis):
         room = [(0, 0)] * a.ndim
@@ -224,19 +261,10 @@ def stream(
     whole = (
         pad(drive.v, 2),
         tuple(pad(x, 2) for x in drive.x),
-        pad(past, 1),
+        pad(seen, 1),
         pad(own, 1),
     )
     extra = jax.tree.map(lambda a: pad(a, 1), extra)
-
-    def one(block, at, record, past):
-        """One record over one block; the end and all."""
-        v, x, history, own = block
-        a, limited = slopes(network, v, x, history)
-        v, x = with_history(network, v, x, jnp.moveaxis(history, 0, -1))
-        tangents = direct_tangents(network, layout, v, x, limited, history)
-        tangents = direct(tangents, (a, own), at, record)
-        return linear_recurrence(jnp.where(own[:, None, None], a, 0.0), tangents, past)
 
     def body(state, start):
         past, carry = state
@@ -246,13 +274,12 @@ def stream(
 
         v, x, history, own = whole
         block = (cut(v, 2), tuple(cut(x_o, 2) for x_o in x), cut(history), cut(own))
-        each = jax.vmap(one, in_axes=(0, None, 0, 0))
+        each = jax.vmap(rows, in_axes=(0, None, 0, 0))
         past, s = each(block, start + jnp.arange(size), jnp.arange(records), past)
-        carry, out = consume(carry, s[:, :, :outputs], jax.tree.map(cut, extra))
+        carry, out = consume(carry, s, jax.tree.map(cut, extra))
         return (past, carry), out
 
-    zero = jnp.zeros((records, lags, states, columns), y.dtype)
-    (_, carry), out = jax.lax.scan(body, (zero, carry), jnp.arange(blocks) * size)
+    (_, carry), out = jax.lax.scan(body, (past, carry), jnp.arange(blocks) * size)
     return carry, out
 
 

@@ -23,7 +23,8 @@ class Preset:
     orders: tuple[int, ...] = ()
     """Numbers of hidden states that are tried (empty: as the data suggest)."""
     gates: int = 0
-    """How many structures of hidden states with sigmoid gates are tried."""
+    """How many structures of hidden states with sigmoid gates are tried; of few inputs
+    only where the smallest error is wanted."""
     patience: int = 3
     """After so many methods of a kind, none of which came near the best, the kind is
     given up; not those with hidden states of short records."""
@@ -32,6 +33,8 @@ class Preset:
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
+    longest_gated: int = 100_000
+    """Samples that train those with gates, whose equations cost less."""
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best; `share`:
     within 5 %; `best`: the smallest error."""
@@ -59,7 +62,7 @@ PRESETS = {
         states=0,
         longest=5_000,
     ),
-    "good": Preset("minutes for every output"),
+    "good": Preset("minutes for every output", gates=2),
     "best": Preset(
         "the smallest error whatever it costs: an hour and more",
         max_models=24,
@@ -70,6 +73,7 @@ PRESETS = {
         patience=16,
         sums=4,
         longest=60_000,
+        longest_gated=250_000,
         rule="best",
     ),
     "ecu": Preset(

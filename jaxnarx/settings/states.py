@@ -29,6 +29,10 @@ class HiddenStates:
     states share; with degree one and one region."""
     draw: int = 0
     """Number of the draw of the gates: another number draws other ones."""
+    times: Sequence[float] = ()
+    """Time constants [s] of a bank of first-order lags to start from, one for every
+    state, each input at its dead time and a little later; for one output. By default
+    subspace identification."""
     shrink: Sequence[float] = (0.1, 0.01, 0.001)
     """Regularisation of the coefficients, see `SimulationError`: at first towards the
     linear model, then towards where the last value has led. The training goes through
@@ -45,6 +49,9 @@ class HiddenStates:
     first_rows: Count = 3000
     """Samples, in stretches of all records, that these are taken on. Where there are
     more the best start goes on alone."""
+    stretch: Steps = 0
+    """Least samples of such a stretch, where a record's share is that long: several
+    times the memory of slow states, which leave the data otherwise."""
 
     def __post_init__(self):
         plain = self.degree == 1 and self.regions == 1
@@ -53,6 +60,16 @@ class HiddenStates:
             "gates",
             f"gates must be at least 0, and need degree 1 and one region; got "
             f"{self.gates} gates, degree {self.degree}, {self.regions} regions",
+        )
+        require(
+            not len(self.times) or len(self.times) == self.states,
+            "times",
+            f"times must be one for each of the {self.states} states, got {self.times}",
+        )
+        require(
+            all(time > 0 for time in self.times),
+            "times",
+            f"times must be positive, got {self.times}",
         )
         falling = all(a > b for a, b in zip(self.shrink, self.shrink[1:], strict=False))
         require(

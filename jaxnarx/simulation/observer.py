@@ -1,5 +1,7 @@
 """Runs of networks with hidden channels: what these start from, record by record."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,7 @@ def begin_hidden(
     """
     if not network.hidden:
         return drive
-    measured = _begin(network, drive, start)
+    measured = _begin(network, drive, start, exact=_is_traced(network, drive))
     return eqx.tree_at(lambda d: d.measured, drive, measured)
 
 
@@ -31,16 +33,21 @@ def observe_hidden(network: Network, drive: RunInputs) -> RunInputs:
     there."""
     if not network.hidden:
         return drive
-    measured = _observe(network, drive)
+    measured = _observe(network, drive, exact=_is_traced(network, drive))
     return eqx.tree_at(lambda d: d.measured, drive, measured)
+
+
+def _is_traced(*trees: Any) -> bool:
+    """Whether derivatives may be asked for: half the time of compiling goes to them."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
 
 
 @program
 def _begin(
-    network: Network, drive: RunInputs, start: Int[Array, " records"]
+    network: Network, drive: RunInputs, start: Int[Array, " records"], *, exact: bool
 ) -> Float[Array, "records time outputs"]:
     def one(record):
-        return with_hidden_start(network, *record)
+        return with_hidden_start(network, *record, exact=exact)
 
     each = drive.v, drive.x, drive.measured, drive.known, start
     return jax.lax.map(one, each)
@@ -48,7 +55,7 @@ def _begin(
 
 @program
 def _observe(
-    network: Network, drive: RunInputs
+    network: Network, drive: RunInputs, *, exact: bool
 ) -> Float[Array, "records time outputs"]:
     time, count = drive.measured.shape[1], len(network.modelled)
 
@@ -56,7 +63,8 @@ def _observe(
         v, x, measured, known = record
 
         def start_at(end):
-            return hidden_start(network, v, x, measured, known, end - network.window)[1]
+            first = end - network.window
+            return hidden_start(network, v, x, measured, known, first, exact=exact)[1]
 
         ends = 1 + jnp.arange(time)
         hidden = jax.lax.map(start_at, ends, batch_size=min(WINDOWS_AT_ONCE, time))

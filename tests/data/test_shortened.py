@@ -34,6 +34,14 @@ def test_short_records_keep_one_stretch_each_at_another_place():
     assert found.names == data.names and found.records[0].group == "g"
 
 
+def test_stretches_are_as_long_as_is_asked_for_where_they_can_be():
+    data = records(100_000, 1000)
+    for shortest, lengths in ((0, 8), (4000, 5), (50_000, 1)):
+        found = thin_records(data, 20_200, shortest)
+        assert len(found) == lengths + 1
+        assert sum(map(len, found)) == pytest.approx(20_200, rel=0.01)
+
+
 @pytest.mark.parametrize(("rows", "count"), [(1500, 3), (3999, 7), (60_000, 8)])
 def test_long_records_are_seen_from_begin_to_end(rows, count):
     length = 100_000

@@ -19,9 +19,16 @@ from jaxnarx.identification.candidates import CandidateSearch
 from jaxnarx.identification.cross_validate import CrossValidation
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.identification.state_space_candidates import (
+    BANK_FACTOR,
+    BANK_GATES_TRIED,
+    BANK_STATES,
     FAMILY_NAME,
     FEW_INPUTS,
+    GATE_PULLS,
+    GATED_FAMILY,
     IN_REGIONS,
+    LONG_GATE_PULLS,
+    LONG_RECORDS,
     MANY_INPUTS,
     MOST_COEFFICIENTS,
     MOST_LINEAR_STATES,
@@ -31,6 +38,7 @@ from jaxnarx.identification.state_space_candidates import (
     SHORT_RECORDS,
     UNASKED_INPUTS,
     WINDOW_LIMITS,
+    propose_gates,
     propose_state_space,
 )
 from jaxnarx.partition import ClosedSearch, profile_data
@@ -161,6 +169,40 @@ def test_presets_try_them_as_they_say():
     counts = [PRESETS[name].states for name in ("good", "best")]
     assert counts == sorted(counts) and counts[0] > 0
     assert counts[-1] <= len({*FEW_INPUTS, *MANY_INPUTS})
+
+
+def test_gates_of_many_inputs_begin_as_a_bank_of_lags():
+    data = wide(UNASKED_INPUTS + 1, 3000)
+    seen = dataclasses.replace(profile_data(data, "y"), memory=400, begin=300)
+    good = dataclasses.replace(TINY, gates=2)
+    found = list(propose_gates(data, seen, good))
+    assert [m.gates for *_, m in found] == [gates for gates, _ in BANK_GATES_TRIED]
+    for family, names, method in found:
+        assert family == GATED_FAMILY and len(set(names)) == len(method.shrink)
+        # A quarter of the memory is the slowest; each other is 4.5 times faster.
+        assert method.states == len(method.times) == BANK_STATES
+        np.testing.assert_allclose(method.times[-1], 10.0)
+        np.testing.assert_allclose(np.diff(np.log(method.times)), np.log(BANK_FACTOR))
+        assert method.window == 100 and method.stretch == 2000
+        assert method.shrink == GATE_PULLS
+    long = dataclasses.replace(seen, memory=4)
+    methods = [m for *_, m in propose_gates(wide(3, LONG_RECORDS + 1), long, good)]
+    assert methods[0].times == (0.1,) and methods[0].shrink == LONG_GATE_PULLS
+
+
+def test_gates_of_few_inputs_are_for_those_who_want_the_smallest_error():
+    data = wide(1, 3000)
+    seen = profile_data(data, "y")
+    good = dataclasses.replace(TINY, gates=2)
+    assert list(propose_gates(data, seen, good)) == []
+    best = dataclasses.replace(good, rule="best")
+    methods = [method for *_, method in propose_gates(data, seen, best)]
+    assert methods and all(not method.times for method in methods)
+    three = wide(3, 3000)
+    both = list(propose_gates(three, profile_data(three, "y"), best))
+    assert {bool(method.times) for *_, method in both} == {True, False}
+    asked = dataclasses.replace(good, orders=(2,))
+    assert {m.states for *_, m in propose_gates(data, seen, asked)} == {2}
 
 
 # how they are tried ---------------------------------------------------------------

@@ -14,17 +14,18 @@ systems using Polynomial Nonlinear State Space models, Automatica 46 (2010) 647-
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.checks import require_known
+from jaxnarx.checks import require, require_known
 from jaxnarx.data import Dataset, thin_records
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.linear.state_space.gates import add_gates
+from jaxnarx.linear.state_space.lag_bank import bank_model
 from jaxnarx.linear.state_space.network import (
     increase_degree,
     set_state_ranges,
@@ -49,6 +50,8 @@ DIVIDED_STARTS = 2
 """How many of the starts are divided into regions."""
 DIVISION_STEPS = 6
 """Steps that a division is given before the best of them is taken."""
+BANK_NAME = "bank of lags"
+"""Name of that start."""
 GATE_RIDGE = 1e-4
 """Ridge of what has gates."""
 
@@ -85,7 +88,7 @@ def fit_states(
     for name in method.outputs:
         require_known(name, known, "outputs", f"unknown output {name!r}")
     places = tuple(known.index(name) for name in (method.outputs or known))
-    few = thin_records(data, method.first_rows)
+    few = thin_records(data, method.first_rows, method.stretch)
     starts = _starts(few, data, places, method, progress)
     if few is not data:
         starts = [min(starts, key=_training_error)]
@@ -231,10 +234,7 @@ def _starts(
     """Every start after its first steps, on few samples."""
     found, steps, shrink = [], method.first_steps, method.shrink[0]
     reason = "no linear model can be identified"
-    for name, model in linear_starts(data, places, method.states):
-        if method.start not in ("", name):
-            continue
-        network = state_network(model, data, places, window=method.window)
+    for name, network in _linear_networks(data, places, method):
         try:
             fit = _train(network, few, steps, shrink, progress)
             for degree in range(2, method.degree + 1):
@@ -247,6 +247,23 @@ def _starts(
     if not found:
         raise DataError(f"no start of {method.states} hidden states: {reason}")
     return found
+
+
+def _linear_networks(
+    data: Dataset, places: tuple[int, ...], method: HiddenStates
+) -> Iterator[tuple[str, Network]]:
+    """The linear models to start from, as networks, with their names."""
+    if method.times:
+        require(len(places) == 1, "times", "a bank of lags is for one output alone")
+        model, delayed = bank_model(data, places[0], method.times)
+        yield (
+            BANK_NAME,
+            state_network(model, data, places, window=method.window, delayed=delayed),
+        )
+        return
+    for name, model in linear_starts(data, places, method.states):
+        if method.start in ("", name):
+            yield name, state_network(model, data, places, window=method.window)
 
 
 def _error(network: Network, data: Dataset) -> float:

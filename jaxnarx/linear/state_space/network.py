@@ -10,6 +10,7 @@ with coefficients of zero.
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -42,20 +43,24 @@ def state_network(
     *,
     degree: int = 1,
     window: int = 50,
+    delayed: Sequence[tuple[int, int]] | None = None,
 ) -> Network:
     """The network with the free run of `model`, whose states have unit size.
 
     `outputs` are the positions of its outputs among those of the data. Products of
-    states and inputs up to `degree` are terms of all that is computed.
+    states and inputs up to `degree` are terms of all that is computed. `delayed` tells
+    which input, so many samples ago, each input of the model is; by default those of
+    the data, as they come.
     """
     known = data.channels
     inputs, states = len(known.inputs), len(model.a)
+    driven = [(j, 0) for j in range(inputs)] if delayed is None else list(delayed)
     if degree < 1 or window < 1:
         raise SpecError("degree and window must be at least 1", field="degree")
     hidden = tuple(Channel(name) for name in hidden_names(known, states))
     channels = Channels(known.inputs, known.outputs, hidden)
     first = len(known.all)
-    rows = [(first + k, 1) for k in range(states)] + [(j, 0) for j in range(inputs)]
+    rows = [(first + k, 1) for k in range(states)] + driven
     own = np.append(inputs + np.array(outputs), first + np.arange(states))
     low, high = ranges(data)
     gain = np.append(gains(data), np.ones(states))
@@ -63,7 +68,7 @@ def state_network(
     wider = OUTPUT_MARGIN * (high - low)[own]
     wider[len(outputs) :] = FREE_DEVIATIONS - 2
     table = products(len(rows), degree)
-    theta = _coefficients(model, gain, own, table)
+    theta = _coefficients(model, gain[[j for j, _ in driven]], gain[own], table)
     return Network(
         channels,
         outputs,
@@ -85,12 +90,12 @@ def state_network(
 
 def _coefficients(
     model: StateSpace,
-    gain: Float[np.ndarray, " signals"],
-    own: Int[np.ndarray, " computed"],
+    inputs: Float[np.ndarray, " inputs"],
+    own: Float[np.ndarray, " computed"],
     table: Int[np.ndarray, "terms degree"],
 ) -> Float[np.ndarray, "computed terms"]:
-    """Coefficients of every term for all that is computed, in scaled signals."""
-    inputs = gain[: model.b.shape[1]]
+    """Coefficients of every term for all that is computed, in scaled signals: by the
+    gains of the inputs and of what is computed."""
     linear = np.block(
         [
             [model.output_offset[:, None], model.c, model.d * inputs[None]],
@@ -100,7 +105,7 @@ def _coefficients(
     theta = np.zeros((len(own), len(table)))
     alone = np.count_nonzero(table, axis=1) <= 1
     theta[:, alone] = linear[:, table[alone].max(axis=1)]
-    return theta / gain[own][:, None]
+    return theta / own[:, None]
 
 
 @guard_arguments

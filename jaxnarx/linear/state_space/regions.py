@@ -93,7 +93,9 @@ def split_candidates(network: Network, data: Dataset) -> Iterator[Network]:
 def visited_points(
     network: Network, data: Dataset
 ) -> tuple[Float[np.ndarray, "rows dims"], Float[np.ndarray, " rows"]]:
-    """Last states and inputs of a free run, and the squared error of all outputs."""
+    """States and inputs that a free run is computed from, as the network lags them, and
+    the squared error of all outputs."""
+    first, longest = len(network.channels.measured.all), 1 + network.history
     data = match_records(network, data)
     run, own = simulate(network, data).value, list(network.modelled)
     spread = np.concatenate([r.y[:, own] for r in data]).std(axis=0)
@@ -103,8 +105,12 @@ def visited_points(
     ):
         error = np.where(scored, (made - record.y[:, own]) / spread, 0.0)
         at = np.flatnonzero(scored.any(axis=1))
-        at = at[at > 0]
-        points.append(np.concatenate([hidden[at - 1], record.u[at]], axis=1))
+        at = at[at >= longest]
+        columns = (
+            hidden[at - lag, s - first] if s >= first else record.u[at - lag, s]
+            for s, lag in network.variables
+        )
+        points.append(np.stack(list(columns), axis=1))
         wrong.append((error[at] ** 2).sum(axis=1))
     return np.concatenate(points), np.concatenate(wrong)
 

@@ -41,11 +41,19 @@ class AdditiveGates(AbstractValidity):
     def __call__(
         self, z: Float[Array, "dims *rows"], active: Bool[Array, " models"]
     ) -> Float[Array, "models *rows"]:
-        tail = z.ndim - 1
-        a = jnp.tensordot(self.direction, z, axes=1) - column(self.border, tail)
-        gates = jax.nn.sigmoid(jnp.clip(a, -LARGEST_ARGUMENT, LARGEST_ARGUMENT))
+        gates = jax.nn.sigmoid(self._arguments(z))
         phi = jnp.concatenate([jnp.ones_like(z[:1]), gates.astype(z.dtype)])
-        return jnp.where(column(active, tail), phi, 0.0)
+        return jnp.where(column(active, z.ndim - 1), phi, 0.0)
+
+    def _arguments(self, z: Float[Array, "dims *rows"]) -> Float[Array, "gates *rows"]:
+        a = jnp.tensordot(self.direction, z, axes=1) - column(self.border, z.ndim - 1)
+        return jnp.clip(a, -LARGEST_ARGUMENT, LARGEST_ARGUMENT)
+
+    def slopes(self, z: Float[Array, "dims *rows"]) -> Float[Array, "gates *rows"]:
+        """Derivative of every gate by its argument, at most a quarter."""
+        a = self._arguments(z)
+        gates = jax.nn.sigmoid(a)
+        return jnp.where(jnp.abs(a) < LARGEST_ARGUMENT, gates * (1.0 - gates), 0.0)
 
     def limits(
         self, width_band: tuple[float | int, float | int]

@@ -1,0 +1,86 @@
+"""Normal equations of networks in which everything computed has the same terms."""
+
+import dataclasses
+from functools import cache
+
+import jax
+import numpy as np
+import pytest
+from state_plants import plant, records
+
+from jaxnarx.linear import increase_degree, set_state_ranges, state_network
+from jaxnarx.linear.state_space.gates import add_gates
+from jaxnarx.linear.state_space.regions import pad_models
+from jaxnarx.models import Network
+from jaxnarx.refinement._refine import make_task
+from jaxnarx.refinement.gauss_newton import normal_equations
+from jaxnarx.refinement.initial import initial_conditions
+from jaxnarx.refinement.layout import freeze, make_layout
+from jaxnarx.refinement.shared_terms import shares_terms
+
+BAND = (0.5, 2.0)
+
+
+@cache
+def network(kind: str) -> Network:
+    """Two hidden states, with products, with gates, or with gates of delayed inputs."""
+    data = records()
+    delayed = [(0, 3)] if kind == "delayed" else None
+    net = state_network(plant(), data, (0,), window=15, delayed=delayed)
+    net = set_state_ranges(net, data)
+    if kind == "products":
+        return increase_degree(net, 2)
+    return net if kind == "linear" else add_gates(net, data, 3, 1)
+
+
+@pytest.mark.parametrize("kind", ["linear", "products", "gates", "delayed"])
+@pytest.mark.parametrize("held", [False, True])
+def test_they_are_those_of_any_network(kind, held):
+    """`held`: the states leave their range now and then."""
+    net, data = network(kind), records()
+    if held:
+        upper = np.array(net.upper)
+        upper[1:] *= 0.3
+        net = dataclasses.replace(net, upper=jax.device_put(upper))
+    task, _ = make_task(net, data)
+    task = task.with_hidden_starts(net)
+    initial = initial_conditions(net, task, measured=kind == "products")
+    layout = make_layout(net, None, BAND, initial, every=True, dense=True)
+    assert shares_terms(layout)
+    rng = np.random.default_rng(4)
+    u = np.asarray(layout.gather(net))
+    u = u + 0.05 * rng.normal(size=u.size)
+    at = task.drive, task.anchors(None), task.weight
+    plain = normal_equations(layout, u, *at)
+    shared = dataclasses.replace(layout, shared_terms=True)
+    for found, known in zip(normal_equations(shared, u, *at), plain, strict=True):
+        scale = np.abs(known).max()
+        np.testing.assert_allclose(found, known, rtol=1e-11, atol=1e-13 * scale)
+
+
+def test_coefficients_that_no_term_uses_have_no_entry():
+    net = network("gates")
+    layout = make_layout(net, None, BAND, dense=True)
+    # Of every output four coefficients and three constants; three gates of three.
+    assert layout.parameters == 3 * (4 + 3) + 3 * 3 + 3
+    u = np.asarray(layout.gather(net))
+    again = layout.place(u)
+    for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(net), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-14)
+    wide = make_layout(net, None, BAND)
+    assert wide.parameters == 3 * 4 * 4 + 3 * 3 + 3
+    assert len(layout.coefficients()) == 21 and len(wide.coefficients()) == 48
+
+
+def test_other_networks_do_not_share_terms():
+    net = network("gates")
+    assert shares_terms(make_layout(net, None, BAND, dense=True))
+    frozen = freeze(net, partition=False)
+    assert not shares_terms(make_layout(net, frozen, BAND, dense=True))
+    regions = pad_models(network("linear"), 2)
+    assert not shares_terms(make_layout(regions, None, BAND))
+    other = np.array(net.models[1].validity.direction) + 0.1
+    moved = dataclasses.replace(net.models[1].validity, direction=jax.device_put(other))
+    model = dataclasses.replace(net.models[1], validity=moved)
+    apart = dataclasses.replace(net, models=(net.models[0], model, net.models[2]))
+    assert not shares_terms(make_layout(apart, None, BAND))
