@@ -21,6 +21,9 @@ HOPELESS_FACTORS = 2.0, 1.5
 """Error on the first group, and on the first two or more, as a multiple of the best
 candidate's there, beyond which the other groups are not tried."""
 
+WEAK_PULL = 0.001
+"""Pull that does not hold on to anything."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CrossValidation:
@@ -197,14 +200,18 @@ def refit_stages(
     """The networks of all stages trained once more, on these data.
 
     The first network of every number of regions is trained twice from where it stands,
-    for it is pulled towards its former parameters, which have seen other data; each
-    other starts from the one before it, or is trained twice where that fails.
+    for it is pulled towards its former parameters, which have seen other data (once
+    where the pull is too weak for that); each other starts from the one before it, or
+    is trained twice where that fails.
     """
     found: list[Network | None] = []
     before, size = None, 0
     for (regions, pull), network in zip(method.stages, whole, strict=False):
         if before is None or regions != size:
             before, size = refit(network, method, pull, data, known, rows), regions
+            if pull <= WEAK_PULL:
+                found.append(before)
+                continue
         if before is not None:
             before = refit(before, method, pull, data, known, rows)
         found.append(before)

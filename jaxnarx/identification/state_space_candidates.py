@@ -42,7 +42,7 @@ BANK_GATES_TRIED = (8, 1), (12, 1), (8, 2), (12, 2)
 """... of those that begin as a bank of lags."""
 BANK_STATES, BANK_FACTOR, FASTEST_SAMPLES = 4, 4.5, 0.5
 """Most time constants of such a bank, how far they are apart, and the fastest."""
-SETTLING_TIMES = 4.0
+SETTLING_TIMES = 7.0
 """Time constants after which an answer is over."""
 BANK_LAG = 40
 """Samples of input history of such a bank, at most about."""
@@ -51,7 +51,7 @@ STRETCH_TIMES = 20
 engine's catalyst temperature was learnt as a state that never settles."""
 LONG_RECORDS, LONG_GATE_PULLS, LONG_STEPS = 20_000, (0.001,), 10
 """Samples beyond which one pull and few steps are enough ..."""
-FIRST_ROWS, LONG_FIRST_ROWS = 3_000, 30_000
+FIRST_ROWS, LONG_FIRST_ROWS = 3_000, 60_000
 FIRST_STEPS, LONG_FIRST_STEPS = 12, 25
 """... after first steps, on so many samples."""
 GATE_PULLS = 0.1, 0.01, 0.001, 1e-4

@@ -33,7 +33,7 @@ class Preset:
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
-    longest_gated: int = 100_000
+    longest_gated: int = 250_000
     """Samples that train those with gates, whose equations cost less."""
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best; `share`:
@@ -73,7 +73,6 @@ PRESETS = {
         patience=16,
         sums=4,
         longest=60_000,
-        longest_gated=250_000,
         rule="best",
     ),
     "ecu": Preset(

@@ -5,6 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays import program
@@ -39,7 +40,7 @@ def observe_hidden(network: Network, drive: RunInputs) -> RunInputs:
 
 def _is_traced(*trees: Any) -> bool:
     """Whether derivatives may be asked for: half the time of compiling goes to them."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 @program

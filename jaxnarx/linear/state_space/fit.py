@@ -52,6 +52,9 @@ DIVISION_STEPS = 6
 """Steps that a division is given before the best of them is taken."""
 BANK_NAME = "bank of lags"
 """Name of that start."""
+FIRST_PULL_FACTOR = 10.0
+"""Regularisation of first steps with gates on few samples, over that of the first
+stage."""
 GATE_RIDGE = 1e-4
 """Ridge of what has gates."""
 
@@ -96,7 +99,9 @@ def fit_states(
     ends: list[_Start] = []
     errors = {start.name: start.error for start in starts}
     if method.gates:
-        starts = [_gated(min(starts, key=_training_error), few, method, progress)]
+        first = method.shrink[0] * (1.0 if few is data else FIRST_PULL_FACTOR)
+        best = min(starts, key=_training_error)
+        starts = [_gated(best, few, method, first, progress)]
     if method.regions > 1:
         starts = sorted(starts, key=_training_error)[:DIVIDED_STARTS]
         starts = [_roomy(start, method.regions) for start in starts]
@@ -196,14 +201,18 @@ def _roomy(start: _Start, regions: int) -> _Start:
 
 
 def _gated(
-    start: _Start, data: Dataset, method: HiddenStates, progress: Tell | None
+    start: _Start,
+    data: Dataset,
+    method: HiddenStates,
+    shrink: float,
+    progress: Tell | None,
 ) -> _Start:
     """Add gates, drawn over what the start visits, and take the first steps."""
     network = dataclasses.replace(
         start.fit.value, low=start.ranged.low, high=start.ranged.high
     )
     network = add_gates(network, data, method.gates, method.draw)
-    fit = _train(network, data, method.first_steps, method.shrink[0], progress)
+    fit = _train(network, data, method.first_steps, shrink, progress)
     ranged = set_state_ranges(fit.value, data)
     return _Start(start.name, fit, ranged, _error(ranged, data))
 

@@ -85,7 +85,9 @@ def bank_model(
 
 
 def choose_dead_times(
-    pieces: Sequence["Piece"], poles: Float[np.ndarray, " times"], tried: Sequence[int]
+    pieces: Sequence["ScaledRecord"],
+    poles: Float[np.ndarray, " times"],
+    tried: Sequence[int],
 ) -> list[int]:
     """Which lag of every input, together, explains most of the output.
 
@@ -110,7 +112,7 @@ def choose_dead_times(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Piece:
+class ScaledRecord:
     """A record, standardised; `counts` are samples at which everything is valid."""
 
     u: Float[np.ndarray, "time inputs"]
@@ -129,7 +131,7 @@ def _solve(
 
 
 def _columns(
-    pieces: Sequence[Piece],
+    pieces: Sequence[ScaledRecord],
     poles: Float[np.ndarray, " times"],
     delayed: Sequence[tuple[int, int]],
     square: bool = False,
@@ -166,10 +168,14 @@ def _columns(
 
 def _standardise(
     data: Dataset, output: int, begin: int, every: int = 1
-) -> tuple[list[Piece], Float[np.ndarray, " channels"], Float[np.ndarray, " channels"]]:
+) -> tuple[
+    list[ScaledRecord], Float[np.ndarray, " channels"], Float[np.ndarray, " channels"]
+]:
     """The records, of which every so many samples from `begin` on count, and mean and
     standard deviation of the inputs and of the output behind them."""
-    inputs, held, counts = len(data.channels.inputs), [], []
+    inputs = len(data.channels.inputs)
+    held: list[np.ndarray] = []
+    counts: list[np.ndarray] = []
     used = [*range(inputs), inputs + output]
     for record in data:
         valid = record.valid[:, used]
@@ -190,5 +196,5 @@ def _standardise(
     pieces = []
     for both, at in zip(held, counts, strict=True):
         scaled = (both - mean) / spread
-        pieces.append(Piece(scaled[:, :-1], scaled[:, -1], at))
+        pieces.append(ScaledRecord(scaled[:, :-1], scaled[:, -1], at))
     return pieces, mean, spread

@@ -21,12 +21,20 @@ from jaxnarx.checks import require
 from jaxnarx.data import Channel, Channels, Dataset, gains, stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.linear.state_space.model import StateSpace
-from jaxnarx.models import OUTPUT_MARGIN, Network, global_model, hidden_names, ranges
+from jaxnarx.models import (
+    OUTPUT_MARGIN,
+    AdditiveGates,
+    Network,
+    global_model,
+    hidden_names,
+    ranges,
+)
 from jaxnarx.regressors import Variables
 from jaxnarx.simulation import make_masks, match_records, simulate
 
 FREE_DEVIATIONS = 8.0
-"""Standard deviations a hidden state may reach while it is trained."""
+"""Standard deviations a hidden state may reach while it is trained, and beyond what it
+has reached with gates."""
 
 
 def products(count: int, degree: int) -> Int[np.ndarray, "terms degree"]:
@@ -138,7 +146,11 @@ def increase_degree(network: Network, degree: int) -> Network:
 @guard_arguments
 def set_state_ranges(network: Network, data: Dataset) -> Network:
     """The network whose hidden channels are held to the ranges these data drive them
-    through, widened as outputs are."""
+    through, widened as outputs are.
+
+    With sigmoid gates, beyond which it is linear, they are held only so far away that
+    nothing else is left to do: a slow state wanders farther than a stretch tells.
+    """
     data = match_records(network, data)
     run = simulate(network, data).value
     # Before a run begins, and behind its last valid sample, nothing is computed.
@@ -150,6 +162,8 @@ def set_state_ranges(network: Network, data: Dataset) -> Network:
     count, first = len(network.modelled), len(network.channels.measured.all)
     low, high = found.min(axis=0), found.max(axis=0)
     wider, gain = OUTPUT_MARGIN * (high - low), np.asarray(network.gain)[first:]
+    if isinstance(network.models[0].validity, AdditiveGates):
+        wider = np.maximum(wider, FREE_DEVIATIONS * found.std(axis=0))
     values = {}
     for name, value, at in (
         ("low", low, first),

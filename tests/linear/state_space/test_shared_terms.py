@@ -11,7 +11,7 @@ from state_plants import plant, records
 from jaxnarx.linear import increase_degree, set_state_ranges, state_network
 from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.linear.state_space.regions import pad_models
-from jaxnarx.models import Network
+from jaxnarx.models import AdditiveGates, Network
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement.gauss_newton import normal_equations
 from jaxnarx.refinement.initial import initial_conditions
@@ -79,8 +79,10 @@ def test_other_networks_do_not_share_terms():
     assert not shares_terms(make_layout(net, frozen, BAND, dense=True))
     regions = pad_models(network("linear"), 2)
     assert not shares_terms(make_layout(regions, None, BAND))
-    other = np.array(net.models[1].validity.direction) + 0.1
-    moved = dataclasses.replace(net.models[1].validity, direction=jax.device_put(other))
+    gates = net.models[1].validity
+    assert isinstance(gates, AdditiveGates)
+    other = np.array(gates.direction) + 0.1
+    moved = dataclasses.replace(gates, direction=jax.device_put(other))
     model = dataclasses.replace(net.models[1], validity=moved)
     apart = dataclasses.replace(net, models=(net.models[0], model, net.models[2]))
     assert not shares_terms(make_layout(apart, None, BAND))
