@@ -25,6 +25,12 @@ RULE_WORDS = {
     "best": "the smallest error, whatever it costs",
 }
 """The choice by its rule."""
+DOMINANT_WORDS = (
+    "the cheapest to compute of those within one standard error of the best whose "
+    "geometric mean over groups is within 5 % of the least, for one group has most of "
+    "the loss"
+)
+"""... where groups disagree."""
 NONE_NEAR = {"near": "none within its standard error", "share": "none within 5 %"}
 
 
@@ -136,6 +142,8 @@ def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
     told = f"{named}, free run {figure(row)} on records left out"
     if row != chosen:
         return f"{told}: chosen by hand in place of {title(chosen)}, {figure(chosen)}."
+    if board.rule == "near" and board.dominant_group(output):
+        return f"{told}: {DOMINANT_WORDS}."
     if row == board.best(output) and board.rule in NONE_NEAR:
         return f"{told}: the best, and {NONE_NEAR[board.rule]} is cheaper."
     return (
@@ -217,6 +225,13 @@ def _groups(board: Leaderboard, row: Candidate) -> list[str]:
     if worst is None or len(known) < 2 or not row.free_run:
         return []
     name, error = worst
+    if dominant := board.dominant_group(row.output):
+        name, share = dominant
+        return [
+            f"The group {name} has {share:.0%} of the loss. Look at its records first "
+            "(unit, sensor, operating mode; jaxnarx check names those in another "
+            "unit); if they are right, measure more like them."
+        ]
     if error < UNEVEN_FACTOR * row.free_run:
         return [f"No group stands out ({min(known):.3g} to {error:.3g})."]
     return [

@@ -18,6 +18,10 @@ EQUAL_STANDARD_ERRORS = 1.0
 """Standard errors within which a cheaper model counts as no worse than the best."""
 EQUAL_ERROR_SHARE = 0.05
 """Share of the error that a cheaper model may give away."""
+DOMINANT_SHARE, DOMINANT_GROUPS = 0.5, 3
+"""Share of the loss from which one group decides alone, where there are so many."""
+LEAST_ERROR = 1e-9
+"""Least error of a group in a geometric mean."""
 LARGEST_FIGURE = 1e100
 """Largest figure of a candidate in a file; its square is a number too."""
 
@@ -108,7 +112,9 @@ class Leaderboard:
     """`near`: the cheapest to compute within one standard error of the best (that of
     the difference, group by group) and 5 %; `share`: within 5 % of it; `best`. Among
     those a candidate whose local models forget their past comes before one whose do
-    not."""
+    not. Where one of three groups or more has over half of the loss, `near` are those
+    within one standard error of the best whose geometric mean over groups is within 5 %
+    of the least: the pooled error would be that group's alone."""
 
     def __str__(self) -> str:
         """Candidates of every output, best first; the chosen one has a star."""
@@ -147,8 +153,13 @@ class Leaderboard:
         best = self.best(output)
         if best is None or self.rule == "best":
             return best
-        close = _is_within if self.rule == "share" else _is_near
-        near = [r for r in self.of(output) if r.eligible and close(r, best)]
+        rows = [r for r in self.of(output) if r.eligible]
+        if self.rule == "share":
+            near = [r for r in rows if _is_within(r, best)]
+        elif self.dominant_group(output):
+            near = _near_in_every_group(rows, best)
+        else:
+            near = [r for r in rows if _is_near(r, best)]
         near = [r for r in near if r.forgets] or near
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
@@ -173,6 +184,23 @@ class Leaderboard:
             return None
         error, name = max(seen)
         return name, error
+
+    def dominant_group(self, output: str) -> tuple[str, float] | None:
+        """Name and share of the group that has over half of the loss of the best
+        candidate, of three or more; None where there is none."""
+        best = self.best(output)
+        if best is None:
+            return None
+        losses = [
+            (error**2, name)
+            for error, name in zip(best.groups, self.group_names, strict=False)
+            if error is not None
+        ]
+        total = math.fsum(loss for loss, _ in losses)
+        if len(losses) < DOMINANT_GROUPS or not total:
+            return None
+        loss, name = max(losses)
+        return (name, loss / total) if loss > DOMINANT_SHARE * total else None
 
     def to_csv(self) -> str:
         """A table with one line a candidate."""
@@ -251,6 +279,24 @@ def _is_near(row: Candidate, best: Candidate) -> bool:
         return False
     difference, error = _excess(row, best)
     return difference <= EQUAL_STANDARD_ERRORS * error
+
+
+def _near_in_every_group(rows: list[Candidate], best: Candidate) -> list[Candidate]:
+    """Those within a standard error of the best that are as good in all groups."""
+    equal = []
+    for row in rows:
+        difference, error = _excess(row, best)
+        if difference <= EQUAL_STANDARD_ERRORS * error:
+            equal.append(row)
+    least = min(map(_geometric_mean, equal))
+    limit = (1 + EQUAL_ERROR_SHARE) * least
+    return [row for row in equal if _geometric_mean(row) <= limit]
+
+
+def _geometric_mean(row: Candidate) -> float:
+    """The geometric mean of the errors of all groups."""
+    logs = [math.log(max(e, LEAST_ERROR)) for e in row.groups if e is not None]
+    return math.exp(statistics.fmean(logs)) if logs else math.inf
 
 
 def _excess(row: Candidate, best: Candidate) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import gram
 from jaxnarx.models import (
@@ -31,7 +31,7 @@ from jaxnarx.models import (
     with_history,
 )
 from jaxnarx.refinement.layout import Layout
-from jaxnarx.refinement.sensitivity import output_gradient, slopes, walk_blocks
+from jaxnarx.refinement.sensitivity import walk_blocks
 from jaxnarx.simulation import RunInputs
 
 
@@ -139,12 +139,9 @@ def _record_rows(
 ) -> tuple[Float[Array, "hidden columns"], Float[Array, "rows outputs columns"]]:
     """The sensitivities of one record over one block; the end and all."""
     v, x, history, own = block
-    a, limited = slopes(network, v, x, history)
-    v, x = with_history(network, v, x, jnp.moveaxis(history, 0, -1))
-    states = a.shape[1]
-    measured = len(network.modelled)
-    a, own = a[:, :, measured:, 0], own[:, 0]
-    features, gates, z = _features(network, layout, v, x)
+    states, measured = len(network.models), len(network.modelled)
+    features, a, gates, z, limited = _linearise(network, layout, v, x, history)
+    own = own[:, 0]
     first = jnp.zeros_like(own)
     if layout.initial is not None:
         first = (at == layout.initial.at[record]) & ~own
@@ -170,26 +167,81 @@ def _record_rows(
     return jax.lax.scan(step, past, (a, features, gates, z, limited, own, first))
 
 
-def _features(
-    network: Network, layout: Layout, v: Float[Array, "vars rows"], x
+def _linearise(
+    network: Network,
+    layout: Layout,
+    v: Float[Array, "vars rows"],
+    x: tuple[Float[Array, "_ rows"], ...],
+    history: Float[Array, "rows states depth"],
 ) -> tuple[
     Float[Array, "rows features"],
+    Float[Array, "rows states hidden"],
     Float[Array, "rows states gates"],
     Float[Array, "rows dims"],
+    Bool[Array, "rows states"],
 ]:
-    """What the coefficients of every output multiply; the derivative of all that is
-    computed by the argument of every gate; and the variables of the gates."""
-    first = network.models[0]
-    leaves, _ = output_gradient(network, 0, v, x[0])
-    features = layout.rows_of(0, [layout.by_vector(0, leaves[0]), *leaves[1:]])[0].T
-    rows, states = v.shape[1], len(network.models)
-    if not isinstance(first.validity, AdditiveGates):
-        none = jnp.zeros((rows, states, 0), v.dtype)
-        return features, none, jnp.zeros((rows, 0), v.dtype)
-    z = scheduling_values(first, x[0])
-    slope = first.validity.slopes(z)
-    terms = term_values(network, first, v)
-    behind = jnp.stack(
-        [jnp.tensordot(m.local.dense()[1:], terms, axes=1) for m in network.models]
+    """A finished run, sample by sample: what the coefficients in the vector multiply;
+    the derivatives of all that is computed by the hidden channels a sample ago and by
+    the arguments of the gates; the variables of these; and where a value is held."""
+    first, measured = network.models[0], len(network.modelled)
+    states, hidden = len(network.models), len(network.models) - measured
+    model, term, used, back = _places(layout)
+    seen = jnp.moveaxis(history, 0, -1)
+
+    def features(seen):
+        v_, x_ = with_history(network, v, x, seen)
+        phi = first.validity(scheduling_values(first, x_[0]), first.active)
+        values = phi[model] * term_values(network, first, v_)[term]
+        return jnp.where(used[:, None], values, 0.0)
+
+    f, along = jax.linearize(features, seen)
+    unit = jnp.eye(states, dtype=seen.dtype)[measured:, :, None, None]
+    slopes = jax.vmap(along)(jnp.broadcast_to(unit, (hidden, *seen.shape)))
+    theta = jnp.stack(
+        [m.local.coefficient.reshape(-1)[_slots(layout)] for m in network.models]
     )
-    return features, jnp.moveaxis(behind * slope[None], 2, 0), z.T
+    raw = theta @ f
+    free = (raw >= network.lower[:, None]) & (raw <= network.upper[:, None])
+    a = jnp.einsum("ok,jkr->roj", theta, slopes)
+    v, x = with_history(network, v, x, seen)
+    found = (back @ f).T, jnp.where(free.T[..., None], a, 0.0)
+    if not isinstance(first.validity, AdditiveGates):
+        rows = v.shape[1]
+        none = jnp.zeros((rows, states, 0), v.dtype), jnp.zeros((rows, 0), v.dtype)
+        return *found, *none, ~free.T
+    z = scheduling_values(first, x[0])
+    terms = term_values(network, first, v)
+    behind = jnp.stack([m.local.dense()[1:] for m in network.models])
+    gates = jnp.einsum("oqk,kr->roq", behind, terms)
+    gates = gates * first.validity.slopes(z).T[:, None]
+    return *found, gates, z.T, ~free.T
+
+
+def _slots(layout: Layout) -> Int[Array, " features"]:
+    """The places of the coefficients of an output that stand in the vector."""
+    own = layout.slots[0] if layout.slots else None
+    if own is not None:
+        return own
+    return jnp.arange(layout.base.models[0].local.coefficient.size)
+
+
+def _places(
+    layout: Layout,
+) -> tuple[
+    Int[Array, " features"],
+    Int[Array, " features"],
+    Bool[Array, " features"],
+    Float[Array, "features features"],
+]:
+    """Local model and term of every such coefficient, whether it is used, and what
+    makes derivatives by the vector of those by the coefficients."""
+    local = layout.base.models[0].local
+    count = local.index.shape[1]
+    at = _slots(layout)
+    model, slot = at // count, at % count
+    term, used = local.index[model, slot], local.used[model, slot]
+    if layout.back is None:
+        return model, term, used, jnp.eye(at.shape[0], dtype=layout.low.dtype)
+    same = model[:, None] == model[None]
+    back = layout.back[0][model[:, None], slot[:, None], slot[None]]
+    return model, term, used, jnp.where(same, back, 0.0)

@@ -30,6 +30,16 @@ def test_the_choice_and_what_others_cost():
     assert told[4] == "No group stands out (0.18 to 0.22)."
 
 
+def test_a_group_with_most_of_the_loss_is_named_and_explains_the_choice():
+    names = ("day 1", "day 2", "day 3")
+    uneven = dataclasses.replace(row(1), groups=(0.1, 0.1, 0.9))
+    told = sentences(Leaderboard((uneven,), names), "y")
+    assert "geometric mean over groups is within 5 % of the least" in told[0]
+    assert told[-1].startswith("The group day 3 has 98% of the loss. Look at its rec")
+    even = dataclasses.replace(uneven, groups=(0.5, 0.5, 0.6))
+    assert "has most of" not in " ".join(sentences(Leaderboard((even,), names), "y"))
+
+
 def test_nearly_as_many_operations_are_as_many():
     def dearer(operations: int) -> str:
         best = dataclasses.replace(row(1), operations=operations)

@@ -32,12 +32,12 @@ def board(*rows: Candidate, rule: str = "near") -> Leaderboard:
     return Leaderboard(rows, GROUPS, rule)
 
 
-BEST = row(1, (0.10, 0.40, 0.20, 0.90), 100)
+BEST = row(1, (0.60, 0.50, 0.70, 0.90), 100)
 
 
 def test_worse_by_chance_is_near():
     """Better in two groups and worse in two: the cheaper one is taken."""
-    other = row(2, (0.12, 0.38, 0.25, 0.91), 10)
+    other = row(2, (0.63, 0.48, 0.72, 0.89), 10)
     assert other.free_run is not None and BEST.free_run is not None
     assert other.free_run > BEST.free_run
     assert board(BEST, other).best("y") == BEST
@@ -45,7 +45,7 @@ def test_worse_by_chance_is_near():
 
 
 def test_of_equals_one_that_forgets_its_past_is_chosen():
-    slow = row(2, (0.12, 0.38, 0.25, 0.91), 10, pole=1.019)
+    slow = row(2, (0.63, 0.48, 0.72, 0.89), 10, pole=1.019)
     assert board(BEST, slow).choose("y") == BEST
     faster = dataclasses.replace(slow, pole=0.98)
     assert board(BEST, faster).choose("y") == faster
@@ -55,7 +55,7 @@ def test_of_equals_one_that_forgets_its_past_is_chosen():
 
 def test_worse_everywhere_is_not_near_though_groups_differ_more():
     """By a little in every group: less than groups differ, but it is no chance."""
-    other = row(2, (0.12, 0.41, 0.22, 0.91), 10, standard_error=0.5)
+    other = row(2, (0.61, 0.51, 0.72, 0.91), 10, standard_error=0.5)
     assert board(BEST, other).choose("y") == BEST
 
 
@@ -90,8 +90,8 @@ def test_more_than_five_per_cent_are_no_chance():
 
 
 def test_of_those_near_the_cheapest_and_of_equal_ones_the_better():
-    near = [row(n, (0.12, 0.38, 0.25, 0.905), cost) for n, cost in ((2, 50), (3, 20))]
-    worse = row(4, (0.12, 0.38, 0.251, 0.905), 20)
+    near = [row(n, (0.63, 0.48, 0.72, 0.895), cost) for n, cost in ((2, 50), (3, 20))]
+    worse = row(4, (0.63, 0.48, 0.721, 0.895), 20)
     assert board(BEST, *near, worse).choose("y") == near[1]
     # What has no number of operations is no bargain.
     unknown = dataclasses.replace(near[1], operations=None)
@@ -120,7 +120,7 @@ def test_share_is_within_five_per_cent():
 
 
 def test_best_is_the_smallest_error_whatever_it_costs():
-    other = row(2, (0.12, 0.38, 0.25, 0.91), 1)
+    other = row(2, (0.63, 0.48, 0.72, 0.91), 1)
     assert board(other, BEST, rule="best").choose("y") == BEST
 
 
@@ -159,10 +159,43 @@ def test_outputs_are_ranked_apart():
     assert found.choose("z") is None and found.of("z") == []
 
 
+UNEVEN = row(1, (0.20, 0.20, 0.20, 2.0), 100)
+"""One group has all but three per cent of the loss."""
+
+
+def test_where_one_group_has_most_of_the_loss_all_groups_count():
+    """By pairs the other is a little worse in the group that decides, by chance."""
+    name, share = board(UNEVEN).dominant_group("y") or ("", 0.0)
+    assert name == "day 4" and share == pytest.approx(4.0 / 4.12)
+    better = row(2, (0.12, 0.13, 0.12, 2.04), 500)
+    assert better.free_run and UNEVEN.free_run and better.free_run > UNEVEN.free_run
+    assert board(UNEVEN, better).best("y") == UNEVEN
+    assert board(UNEVEN, better).choose("y") == better
+    cheap = row(3, (0.125, 0.135, 0.125, 2.04), 50)
+    assert board(UNEVEN, better, cheap).choose("y") == cheap
+    assert board(UNEVEN, better, rule="best").choose("y") == UNEVEN
+    assert board(UNEVEN, better, rule="share").choose("y") == UNEVEN
+
+
+def test_beyond_a_standard_error_no_mean_over_groups_helps():
+    worse = row(2, (0.22, 0.22, 0.22, 2.2), 10)
+    assert board(UNEVEN, worse).choose("y") == UNEVEN
+    # Not even where its geometric mean is the smallest: it is surely worse here.
+    surely = row(3, (1.0, 1.0, 1.0, 2.3), 10)
+    assert board(UNEVEN, surely).choose("y") == UNEVEN
+
+
+def test_two_groups_or_even_ones_do_not_disagree():
+    assert board(BEST).dominant_group("y") is None
+    assert board(row(1, (0.1, 2.0))).dominant_group("y") is None
+    assert board(row(1, (0.0,) * 4)).dominant_group("y") is None
+    assert board().dominant_group("y") is None
+
+
 def test_worst_group():
     assert board().worst_group(BEST) == ("day 4", 0.9)
-    some = dataclasses.replace(BEST, groups=(None, 0.4, None, None))
-    assert board().worst_group(some) == ("day 2", 0.4)
+    some = dataclasses.replace(BEST, groups=(None, 0.5, None, None))
+    assert board().worst_group(some) == ("day 2", 0.5)
     assert board().worst_group(dataclasses.replace(BEST, groups=())) is None
     assert board().worst_group(dataclasses.replace(BEST, groups=(None,) * 4)) is None
 

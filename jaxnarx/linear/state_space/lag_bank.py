@@ -190,8 +190,8 @@ def _standardise(
             f"no record has more than {begin} valid samples; too short for a bank of "
             "lags"
         )
-    every = np.concatenate([h[at] for h, at in zip(held, counts, strict=True)])
-    mean, spread = every.mean(axis=0), every.std(axis=0)
+    seen = np.concatenate([h[at] for h, at in zip(held, counts, strict=True)])
+    mean, spread = seen.mean(axis=0), seen.std(axis=0)
     spread = np.where(spread > 0, spread, 1.0)
     pieces = []
     for both, at in zip(held, counts, strict=True):
