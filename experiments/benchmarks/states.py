@@ -4,6 +4,9 @@
                  all starting values beside central differences
     price        loss, its gradient and its normal equations on 10,000 samples: three
                  hidden states beside a network of as many terms without, in turns
+    gates        normal equations of four states, ten delayed inputs and eight gates on
+                 20 records: as of networks in which everything computed has the same
+                 terms, and as of any network, in turns
     tanks        the cascaded tanks, three states of degree two, from the file to the
                  model in a fresh process: first call, and again when all is compiled
 
@@ -31,14 +34,14 @@ from common import (  # noqa: E402
     worker,
 )
 
-PARTS = ("derivatives", "price", "tanks")
+PARTS = ("derivatives", "price", "gates", "tanks")
 SAMPLES, ROUNDS = 10_000, 5
 STATES, DEGREE = 3, 2
 STEP = 1e-6
 """Of the central differences."""
 SMALL = 200
 """Samples of a smoke run, the same everywhere: what one part compiles another loads."""
-AIMS = {"derivatives": 1e-6, "price": 4.0, "cold": 40.0, "compiled": 10.0}
+AIMS = {"derivatives": 1e-6, "price": 4.0, "gates": 0.4, "cold": 40.0, "compiled": 10.0}
 
 
 def plant(samples: int) -> Any:
@@ -97,15 +100,19 @@ def lagged(data: Any, terms: int) -> Any:
 
 def prepared(network: Any, data: Any) -> tuple[Any, Any, Any]:
     """Task, layout and a point of a training, with starting values if it has any."""
+    import dataclasses
+
     import numpy as np
 
     from jaxnarx.refinement._refine import make_task
     from jaxnarx.refinement.initial import initial_conditions
     from jaxnarx.refinement.layout import make_layout
+    from jaxnarx.refinement.shared_terms import shares_terms
 
     task = make_task(network, data)[0].with_hidden_starts(network)
     initial = initial_conditions(network, task, measured=False)
-    layout = make_layout(network, None, (0.5, 2.0), initial, every=True)
+    layout = make_layout(network, None, (0.5, 2.0), initial, every=True, dense=True)
+    layout = dataclasses.replace(layout, shared_terms=shares_terms(layout))
     return task, layout, np.asarray(layout.gather(network))
 
 
@@ -192,6 +199,78 @@ def price(smoke: bool) -> dict[str, Any]:
         }
         found[what]["ratio"] = target(round(both[0] / both[1], 2), AIMS["price"])
     return found
+
+
+def many_records(samples: int) -> Any:
+    """Of five inputs, through two lags and a bend."""
+    import numpy as np
+
+    import jaxnarx as jnx
+
+    us, ys = [], []
+    for n in range(20):
+        rng = np.random.default_rng(n)
+        rows = samples // 20
+        u = np.repeat(rng.uniform(-1, 1, size=(rows // 10 + 1, 5)), 10, axis=0)[:rows]
+        x = np.zeros((rows, 2))
+        for t in range(1, rows):
+            drive = np.array([u[t] @ [1.0, 0.5, -0.3, 0.2, 0.0], np.tanh(u[t, 0] * 2)])
+            x[t] = [0.9, 0.98] * x[t - 1] + [0.1, 0.02] * drive
+        us.append(u)
+        ys.append(x.sum(axis=1, keepdims=True) + 0.01 * rng.normal(size=(rows, 1)))
+    names = [f"u{n}" for n in range(5)]
+    return jnx.Dataset.from_arrays(us, ys, inputs=names, outputs=["y"], sample_time=0.1)
+
+
+def gates(smoke: bool) -> dict[str, Any]:
+    """Medians over rounds in turns [s] and their ratio, and how far the results are
+    from each other, as a share of the largest entry."""
+    import dataclasses
+
+    import jax
+    import numpy as np
+
+    from jaxnarx.linear import HiddenStates, fit_states
+    from jaxnarx.refinement.gauss_newton import normal_equations
+
+    data = many_records(20 * SMALL if smoke else 2 * SAMPLES)
+    method = HiddenStates(
+        states=4,
+        degree=1,
+        gates=8,
+        draw=1,
+        times=(0.2, 1.0, 3.0, 8.0),
+        shrink=(0.01,),
+        max_steps=1,
+        first_steps=1,
+    )
+    network = fit_states(data, method).value
+    task, layout, u = prepared(network, data)
+    assert layout.shared_terms
+    general = dataclasses.replace(layout, shared_terms=False)
+    at = task.drive, task.anchors(None), task.weight
+    ways = {"shared terms": layout, "any network": general}
+    ends = {
+        name: jax.block_until_ready(normal_equations(one, u, *at))
+        for name, one in ways.items()
+    }
+    times: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(1 if smoke else ROUNDS):
+        for name, one in ways.items():
+            begin = time.perf_counter()
+            jax.block_until_ready(normal_equations(one, u, *at))
+            times[name].append(time.perf_counter() - begin)
+    taken = {name: statistics.median(own) for name, own in times.items()}
+    a, b = (np.asarray(ends[name][2]) for name in ways)
+    found: dict[str, Any] = {name: float(f"{s:.3g}") for name, s in taken.items()}
+    found |= {
+        "samples": data.samples,
+        "records": len(data),
+        "parameters": layout.parameters,
+        "apart": float(f"{np.abs(a - b).max() / np.abs(b).max():.3g}"),
+    }
+    ratio = taken["shared terms"] / taken["any network"]
+    return found | {"ratio": target(round(ratio, 3), AIMS["gates"])}
 
 
 def tanks(smoke: bool) -> dict[str, Any]:

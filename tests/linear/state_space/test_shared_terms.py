@@ -6,8 +6,9 @@ from functools import cache
 import jax
 import numpy as np
 import pytest
-from state_plants import plant, records
+from state_plants import made, plant, records
 
+from jaxnarx.data import Dataset
 from jaxnarx.linear import increase_degree, set_state_ranges, state_network
 from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.linear.state_space.regions import pad_models
@@ -22,9 +23,26 @@ BAND = (0.5, 2.0)
 
 
 @cache
+def data_of(kind: str) -> Dataset:
+    """Of two outputs, or of one."""
+    data = records()
+    if kind != "two outputs":
+        return data
+    ys = [np.concatenate([r.y, r.y[::-1]], axis=1) for r in data]
+    return made([r.u for r in data], ys)
+
+
+@cache
 def network(kind: str) -> Network:
     """Two hidden states, with products, with gates, or with gates of delayed inputs."""
-    data = records()
+    data = data_of(kind)
+    if kind == "two outputs":
+        one = plant()
+        both = {name: np.tile(getattr(one, name), (2, 1)) for name in ("c", "d")}
+        both["output_offset"] = np.tile(one.output_offset, 2)
+        two = dataclasses.replace(one, **both)
+        net = set_state_ranges(state_network(two, data, (0, 1), window=15), data)
+        return add_gates(net, data, 3, 1)
     delayed = [(0, 3)] if kind == "delayed" else None
     net = state_network(plant(), data, (0,), window=15, delayed=delayed)
     net = set_state_ranges(net, data)
@@ -33,14 +51,16 @@ def network(kind: str) -> Network:
     return net if kind == "linear" else add_gates(net, data, 3, 1)
 
 
-@pytest.mark.parametrize("kind", ["linear", "products", "gates", "delayed"])
+@pytest.mark.parametrize(
+    "kind", ["linear", "products", "gates", "delayed", "two outputs"]
+)
 @pytest.mark.parametrize("held", [False, True])
 def test_they_are_those_of_any_network(kind, held):
     """`held`: the states leave their range now and then."""
-    net, data = network(kind), records()
+    net, data = network(kind), data_of(kind)
     if held:
         upper = np.array(net.upper)
-        upper[1:] *= 0.3
+        upper[len(net.modelled) :] *= 0.3
         net = dataclasses.replace(net, upper=jax.device_put(upper))
     task, _ = make_task(net, data)
     task = task.with_hidden_starts(net)
