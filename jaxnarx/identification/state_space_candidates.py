@@ -41,7 +41,8 @@ GATES_TRIED = (8, 1), (4, 1), (8, 2), (4, 2)
 BANK_GATES_TRIED = (8, 1), (12, 1), (8, 2), (12, 2)
 """... of those that begin as a bank of lags."""
 BANK_STATES, BANK_FACTOR, FASTEST_SAMPLES = 4, 4.5, 0.5
-"""Most time constants of such a bank, how far they are apart, and the fastest."""
+"""Most time constants of such a bank, how far they are apart, and the fastest one
+[samples], below that of the least memory that is found."""
 SETTLING_TIMES = 7.0
 """Time constants after which an answer is over."""
 BANK_LAG = 40
@@ -129,9 +130,7 @@ def _lag_times(profile: DataProfile, sample_time: float) -> tuple[float, ...]:
     answer, each a few times the last one."""
     slow = profile.memory / SETTLING_TIMES
     spread = slow * BANK_FACTOR ** -np.arange(BANK_STATES)[::-1]
-    return tuple(float(t) * sample_time for t in spread if t >= FASTEST_SAMPLES) or (
-        sample_time,
-    )
+    return tuple(float(t) * sample_time for t in spread if t >= FASTEST_SAMPLES)
 
 
 def _orders(data: Dataset, output: str, preset: Preset) -> tuple[int, ...]:

@@ -187,7 +187,10 @@ def test_gates_of_many_inputs_begin_as_a_bank_of_lags():
         assert method.shrink == GATE_PULLS
     long = dataclasses.replace(seen, memory=4)
     methods = [m for *_, m in propose_gates(wide(3, LONG_RECORDS + 1), long, good)]
-    assert methods[0].times == (0.1,) and methods[0].shrink == LONG_GATE_PULLS
+    assert (
+        methods[0].times == pytest.approx((0.4 / 7,))
+        and methods[0].shrink == LONG_GATE_PULLS
+    )
     short = [m for *_, m in propose_gates(wide(3, SHORT_RECORDS), seen, good)]
     assert short and not any(method.times for method in short)
 
