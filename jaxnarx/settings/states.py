@@ -1,5 +1,6 @@
 """Settings of models with hidden states."""
 
+import math
 from collections.abc import Sequence
 
 from jaxnarx.checks import require
@@ -67,9 +68,9 @@ class HiddenStates:
             f"times must be one for each of the {self.states} states, got {self.times}",
         )
         require(
-            all(time > 0 for time in self.times),
+            all(0 < time < math.inf for time in self.times),
             "times",
-            f"times must be positive, got {self.times}",
+            f"times must be positive and finite, got {self.times}",
         )
         falling = all(a > b for a, b in zip(self.shrink, self.shrink[1:], strict=False))
         require(

@@ -65,6 +65,13 @@ def state_network(
     driven = [(j, 0) for j in range(inputs)] if delayed is None else list(delayed)
     if degree < 1 or window < 1:
         raise SpecError("degree and window must be at least 1", field="degree")
+    require(
+        len(driven) == model.b.shape[1]
+        and all(0 <= j < inputs and lag >= 0 for j, lag in driven),
+        "delayed",
+        f"delayed must name one of {inputs} inputs and a lag from 0 on for each of the "
+        f"{model.b.shape[1]} inputs of the model, got {driven}",
+    )
     hidden = tuple(Channel(name) for name in hidden_names(known, states))
     channels = Channels(known.inputs, known.outputs, hidden)
     first = len(known.all)

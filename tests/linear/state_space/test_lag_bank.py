@@ -127,7 +127,11 @@ def test_records_without_a_sample_that_counts_are_refused():
 
 @pytest.mark.parametrize(
     ("times", "told"),
-    [((1.0,), "one for each of the 2 states"), ((1.0, -1.0), "must be positive")],
+    [
+        ((1.0,), "one for each of the 2 states"),
+        ((1.0, -1.0), "must be positive"),
+        ((1.0, np.inf), "finite"),
+    ],
 )
 def test_time_constants_that_make_no_sense_are_refused(times, told):
     with pytest.raises(SpecError, match=told):

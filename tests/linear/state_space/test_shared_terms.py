@@ -9,6 +9,7 @@ import pytest
 from state_plants import made, plant, records
 
 from jaxnarx.data import Dataset
+from jaxnarx.errors import SpecError
 from jaxnarx.linear import increase_degree, set_state_ranges, state_network
 from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.linear.state_space.regions import pad_models
@@ -90,6 +91,12 @@ def test_coefficients_that_no_term_uses_have_no_entry():
     wide = make_layout(net, None, BAND)
     assert wide.parameters == 3 * 4 * 4 + 3 * 3 + 3
     assert len(layout.coefficients()) == 21 and len(wide.coefficients()) == 48
+
+
+@pytest.mark.parametrize("delayed", [[(1, 0)], [(0, -1)], [(0, 0), (0, 1)], []])
+def test_delayed_inputs_that_are_none_are_refused(delayed):
+    with pytest.raises(SpecError, match="delayed must name one of 1 inputs"):
+        state_network(plant(), records(), (0,), delayed=delayed)
 
 
 def test_other_networks_do_not_share_terms():
