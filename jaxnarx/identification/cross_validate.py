@@ -185,7 +185,7 @@ def fit_full(
     limit = (
         np.inf if best is None else FIRST_STEPS_FACTOR * float(np.nanmean(best)) ** 0.5
     )
-    some = _some(data, rows, method.stretch)
+    some = _thin_valid(data, rows, method.stretch)
     fit = fit_states(some, method, hopeless=limit)
     return _hold_to_range(fit.stats["path"], data)
 
@@ -229,7 +229,7 @@ def refit(
     """A network trained once more, on these data, and held to what all that are known
     say; None where that fails."""
     try:
-        some = _some(data, rows, method.stretch)
+        some = _thin_valid(data, rows, method.stretch)
         one = refit_states(network, some, method, pull)
     except (JaxnarxError, np.linalg.LinAlgError):
         return None
@@ -267,13 +267,13 @@ def fit_method(
     range of all that are known, by default these: with hidden states one for every
     stage, else one alone."""
     shortest = method.stretch if isinstance(method, HiddenStates) else 0
-    some, known = _some(data, rows, shortest), data if known is None else known
+    some, known = _thin_valid(data, rows, shortest), data if known is None else known
     if isinstance(method, HiddenStates):
         return _hold_to_range(fit_states(some, method).stats["path"], known)
     return _hold_to_range([run_method(some, method, None, None).value], known)
 
 
-def _some(data: Dataset, rows: int | None, shortest: int = 0) -> Dataset:
+def _thin_valid(data: Dataset, rows: int | None, shortest: int = 0) -> Dataset:
     """Stretches of so many samples, of those that are valid."""
     count = sum(int(r.valid.any(axis=1).sum()) for r in data)
     return data if rows is None or count <= rows else thin_records(data, rows, shortest)

@@ -48,8 +48,8 @@ SETTLING_TIMES = 7.0
 BANK_LAG = 40
 """Samples of input history of such a bank, at most about."""
 STRETCH_TIMES = 20
-"""Length of a stretch that trains, in slowest time constants: on stretches of five an
-engine's catalyst temperature was learnt as a state that never settles."""
+"""Length of a stretch that trains, in slowest time constants: trained
+on some 600 samples each, runs of 12 of 16 whole records of an engine diverged."""
 LONG_RECORDS, LONG_GATE_PULLS, LONG_STEPS = 20_000, (0.001,), 10
 """Samples beyond which one pull and few steps are enough ..."""
 FIRST_ROWS, LONG_FIRST_ROWS = 3_000, 60_000

@@ -209,8 +209,8 @@ class Layout(eqx.Module):
     def rows_of(
         self, output: int, leaves: list[Float[Array, "*shape rows"]]
     ) -> list[Float[Array, "_ rows"]]:
-        """What belongs to the trained parameters of an output, a row each, from arrays
-        shaped like its trainable leaves."""
+        """Rows of the trained parameters of an output, from arrays shaped like its
+        trainable leaves."""
         found = []
         for n, (leaf, kept) in enumerate(zip(leaves, self.chosen[output], strict=True)):
             if kept:

@@ -39,7 +39,7 @@ def observe_hidden(network: Network, drive: RunInputs) -> RunInputs:
 
 
 def _is_traced(*trees: Any) -> bool:
-    """Whether derivatives may be asked for: half the time of compiling goes to them."""
+    """Whether derivatives may be asked for: programs without them compile faster."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 

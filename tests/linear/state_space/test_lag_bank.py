@@ -66,7 +66,7 @@ def test_it_finds_a_plant_of_lags_and_its_dead_times():
 
 
 def test_a_dead_time_behind_a_square_is_found():
-    """Of which the linear answer says nothing."""
+    """Which is three times what is linear."""
     data = runs(3.0)
     assert bank_model(data, 0, TIMES)[1][4][1] == DEAD[2]
 
