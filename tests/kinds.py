@@ -13,6 +13,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.models import (
     Network,
     SigmoidTree,
+    SignedRoot,
     assemble,
     global_model,
     hold_to_range,
@@ -23,7 +24,7 @@ from jaxnarx.models import (
 from jaxnarx.regressors import Kautz, LowPass, Variables, polynomial_pool
 
 EVERY = (
-    *(*KINDS, "own feedback", "sum", "filters"),
+    *(*KINDS, "own feedback", "root", "sum", "filters"),
     *("filters beyond", "linear", "hold", "nan", "hidden"),
 )
 TIME = 45
@@ -33,10 +34,13 @@ OWN = {
     "coupled, by own output": ((True, False, True), None),
     "both": ((False, True, True), (True, False)),
     "shared": (((True, False, True),),),
+    "root": (((True, False, True), (False, True, False)),),
 }
 """Which local models of every output are fed back their own; "shared": which groups
-share one."""
-KIND = {"both": "coupled, by own output", "shared": "by inputs"}
+share one, "root": the first of them computes a root."""
+KIND = {"both": "coupled, by own output", "shared": "by inputs", "root": "by inputs"}
+FLOOR = -2.0
+"""Floor of the root, scaled: measured outputs lie on both sides of it."""
 
 
 @cache
@@ -46,6 +50,10 @@ def own_feedback(name: str, bound: float = 50.0) -> Network:
         m if own is None else dataclasses.replace(m, own=groups(own))
         for m, own in zip(net.models, OWN[name], strict=True)
     )
+    if name == "root":
+        fields = np.array([True, False]), np.array([FLOOR, 0.0])
+        root = SignedRoot(*jax.device_put(fields))
+        models = (dataclasses.replace(models[0], root=root),)
     return dataclasses.replace(net, models=models)
 
 
@@ -123,6 +131,8 @@ def problem(name: str) -> tuple[Network, Dataset]:
         return common.named(name), data
     if name == "own feedback":
         return own_feedback("both"), data
+    if name == "root":
+        return own_feedback("root"), data
     if name == "sum":
         return summed(data), data
     net = common.named("by inputs")

@@ -291,6 +291,11 @@ class _Lowering:
         line.length = max(line.length, lag)
         return self.b.op("delay", source=(name, lag))
 
+    def _own_lag(self, o: int, lag: int, group: int) -> Value:
+        """What a group has computed so many samples ago."""
+        value = self._delay_output(o, lag, group)
+        return self._to_root(o, group, value) if self._squares(o, group) else value
+
     def _bound_output(self, o: int, value: Value) -> tuple[Value, Value]:
         b = self.b
         low, high = (
@@ -344,14 +349,43 @@ class _Lowering:
                     if dense[m, k] != 0
                 ]
                 local.append(b.add(*parts))
+        added = list(zip(phi, local, strict=True))
         if own is not None:
             for g, row in enumerate(own):
-                value = self._group(np.flatnonzero(row).tolist(), phi, local)
+                members = np.flatnonzero(row).tolist()
+                value = self._group(members, phi, local)
+                if self._squares(o, g):
+                    value = self._to_output(o, g, value)
+                    added = [p for m, p in enumerate(added) if m not in members]
+                    added.append((b.add(*(phi[m] for m in members)), value))
                 bounded, _ = self._bound_output(o, value)
                 self.lines[f"y_{name}_group{g + 1}"].source = bounded
         with b.purpose(BLEND):
-            blend = b.dot(phi, local)
+            blend = b.add(*(b.mul(weight, value) for weight, value in added))
             return blend if total is None else b.op("div", blend, total)
+
+    def _squares(self, o: int, group: int) -> bool:
+        """Whether a group computes a root of its output."""
+        root = self.network.models[o].root
+        return root is not None and bool(np.asarray(root.squares)[group])
+
+    def _to_output(self, o: int, group: int, r: Value) -> Value:
+        """floor + r |r|."""
+        b, root = self.b, self.network.models[o].root
+        assert root is not None
+        with b.purpose(BLEND):
+            floor = b.const(float(np.asarray(root.floor)[group]))
+            return b.add(b.mul(r, b.size(r, 1.0)), floor)
+
+    def _to_root(self, o: int, group: int, y: Value) -> Value:
+        """The inverse, as `SignedRoot.to_root`."""
+        b, root = self.b, self.network.models[o].root
+        assert root is not None
+        with b.purpose(FRAME):
+            far = b.op("sub", y, b.const(float(np.asarray(root.floor)[group])))
+            size = b.op("sqrt", b.size(far, 1.0))
+            above = b.op("less", b.const(0.0), far)
+            return b.op("where", above, size, b.op("neg", size))
 
     def _group(self, members: list[int], phi: list[Value], local: list[Value]) -> Value:
         """Mean of a group by its weights; of all alike where they vanish."""
@@ -380,7 +414,7 @@ class _Lowering:
         b, entries = self.b, self.network.variables.entries
         chosen = [entries[n - 1] for n in row.tolist() if n > 0]
         values = [
-            self._delay_output(o, lag, group)
+            self._own_lag(o, lag, group)
             if group is not None and signal == self.network.signals[o]
             else self._variable(signal, lag, filter_)
             for signal, lag, filter_ in chosen

@@ -31,6 +31,7 @@ from jaxnarx.models import (
     AdditiveGates,
     Boxes,
     Compact,
+    GateProducts,
     Gaussians,
     LogSigmoids,
     Network,
@@ -324,6 +325,7 @@ VALIDITIES: dict[type, dict[str, AbstractTable]] = {
         ),
     },
     SigmoidTree: {"gate": Gates(), "gate_border": GateBorders()},
+    GateProducts: {"gate": Gates(), "gate_border": GateBorders()},
     AdditiveGates: {
         "gate": Field("direction", Gates.about, rows=_gates_behind),
         "gate_border": Field("border", GateBorders.about, rows=_gates_behind),

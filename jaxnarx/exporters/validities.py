@@ -12,6 +12,7 @@ from jaxnarx.models import (
     AdditiveGates,
     Boxes,
     Compact,
+    GateProducts,
     Gaussians,
     LogSigmoids,
     SigmoidTree,
@@ -156,4 +157,5 @@ _VALIDITY_WRITERS: dict[type, Callable[..., Weights]] = {
     LogSigmoids: _log_sigmoids,
     SigmoidTree: _sigmoid_tree,
     AdditiveGates: _additive_gates,
+    GateProducts: _sigmoid_tree,
 }

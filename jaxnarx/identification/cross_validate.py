@@ -1,7 +1,7 @@
 """Free-run errors on groups left out, of methods that are trained step by step."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +11,7 @@ from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.identification._by_method import run_method
 from jaxnarx.linear import fit_states, refit_states
 from jaxnarx.models import Network, hold_to_range, set_ranges
+from jaxnarx.partition import Errors
 from jaxnarx.settings import HiddenStates, Identification
 from jaxnarx.simulation import match_records, predict, simulate
 
@@ -39,6 +40,8 @@ class CrossValidation:
     network: Network | None
     """Network trained on all records; None where the candidate was given up."""
     detail: str = ""
+    left: tuple[Errors, ...] = ()
+    """Errors of the free run over every group left out."""
 
     @property
     def complete(self) -> bool:
@@ -84,6 +87,7 @@ def cross_validate(
     whole: list[Network] = []
     every: list[_Judging] = []
     parted = False
+    edges = np.cumsum([0, *map(len, data)])[:-1].tolist()
     if isinstance(method, HiddenStates):
         parted = rows is None or data.samples <= rows
         everything = groups.exclude_group(data) if parted else data
@@ -101,8 +105,9 @@ def cross_validate(
         else:
             networks = fit_method(method, train, rows, known=data)
         every = every or [_Judging(len(groups), one_step, begin) for _ in networks]
+        first = [n for n, own in zip(edges, groups.labels, strict=True) if g in own]
         for one, network in zip(every, networks, strict=True):
-            one.look(g, network, fold.left, spread, best)
+            one.look(g, network, fold.left, spread, best, first)
         if all(one.told for one in every):
             return [one.outcome(None, one.told) for one in every]
     whole = whole or fit_method(method, data, rows)
@@ -119,6 +124,8 @@ class _Judging:
         self.begin = begin
         self.losses, self.counts = np.full(groups, np.nan), np.zeros(groups)
         self.ahead, self.diverged, self.told = 0.0 if one_step else np.nan, 0, ""
+        none = np.zeros(0, int), np.zeros(0, np.float32)
+        self.left: list[Errors] = [none for _ in range(groups)]
 
     def look(
         self,
@@ -127,25 +134,38 @@ class _Judging:
         left: Dataset,
         spread: float,
         best: Float[np.ndarray, " groups"] | None,
+        first: Sequence[int],
     ) -> None:
         """Run the network of the group left out, and say whether that is the last.
 
-        One too short judges nothing. Without a network, if it was not given up before,
-        it could not be trained: that counts as one that diverges.
+        `first` are the places of the records' first samples among all. One too short
+        judges nothing. Without a network, if it was not given up before, it could not
+        be trained: that counts as one that diverges.
         """
         if self.told:
             return
         if network is None:
             self.diverged += 1
         else:
-            self._run(g, network, left, spread)
+            self._run(g, network, left, spread, first)
         self.told = self._stop_reason(g, best)
 
-    def _run(self, g: int, network: Network, left: Dataset, spread: float) -> None:
+    def _run(
+        self,
+        g: int,
+        network: Network,
+        left: Dataset,
+        spread: float,
+        first: Sequence[int],
+    ) -> None:
         try:
-            found = score(network, left, spread, begin=self.begin)
-            self.losses[g], self.counts[g], bad = found
+            parts, bad = run_errors(network, left, spread, begin=self.begin)
+            self.losses[g], self.counts[g] = _pool(parts)
             self.diverged += bad
+            pairs = list(zip(first, parts, strict=True))
+            places = np.concatenate([n + at for n, (at, _) in pairs])
+            errors = np.concatenate([error for _, (_, error) in pairs])
+            self.left[g] = places, errors.astype(np.float32)
             if self.ahead == self.ahead:  # wanted
                 ahead = score(network, left, spread, k=1, begin=self.begin)[0]
                 self.ahead += self.counts[g] * ahead
@@ -167,8 +187,9 @@ class _Judging:
         one_step = np.nan
         if network is not None:
             one_step = float(np.sqrt(self.ahead / max(self.counts.sum(), 1.0)))
+        left = () if network is None else tuple(self.left)
         return CrossValidation(
-            self.losses, self.counts, one_step, self.diverged, network, detail
+            self.losses, self.counts, one_step, self.diverged, network, detail, left
         )
 
 
@@ -296,14 +317,38 @@ def score(
     *,
     begin: int = 0,
 ) -> tuple[float, int, int]:
-    """Mean squared error, samples that count, and records that diverge. The run of one
-    output is free, or `k` steps ahead. The first `begin` samples do not count;
-    DataError where no other does."""
+    """Mean squared error, samples that count, and records that diverge; see
+    `run_errors`."""
+    parts, diverged = run_errors(network, data, spread, k, begin=begin)
+    return *_pool(parts), diverged
+
+
+def run_errors(
+    network: Network,
+    data: Dataset,
+    spread: float,
+    k: int | None = None,
+    *,
+    begin: int = 0,
+) -> tuple[list[Errors], int]:
+    """Errors of every record where samples count, measured less computed, and the
+    number of records that diverge.
+
+    The run of one output is free, or `k` steps ahead. The first `begin` samples do not
+    count; DataError where no other does.
+    """
     run = (simulate(network, data) if k is None else predict(network, data, k)).value
     (o,) = network.modelled
-    parts = zip(data, run.outputs, run.scored, strict=True)
-    errors = [(r.y[begin:, o] - y[begin:, 0])[s[begin:, 0]] for r, y, s in parts]
-    every = np.concatenate(errors) / spread
-    if not len(every):
+    found = []
+    for r, y, scored in zip(data, run.outputs, run.scored, strict=True):
+        at = begin + np.flatnonzero(scored[begin:, 0])
+        found.append((at, (r.y[at, o] - y[at, 0]) / spread))
+    if not any(len(at) for at, _ in found):
         raise DataError(f"no sample counts behind the first {begin} of a record")
-    return float(np.mean(every**2)), len(every), int(sum(d[0] for d in run.diverged))
+    return found, int(sum(d[0] for d in run.diverged))
+
+
+def _pool(parts: Sequence[Errors]) -> tuple[float, int]:
+    """Mean squared error, and samples that count."""
+    every = np.concatenate([error for _, error in parts])
+    return float(np.mean(every**2)), len(every)

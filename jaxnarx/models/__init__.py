@@ -34,7 +34,6 @@ from jaxnarx.models.feedback import group_weights as group_weights
 from jaxnarx.models.feedback import monomials as monomials
 from jaxnarx.models.feedback import places as places
 from jaxnarx.models.feedback import respond as respond
-from jaxnarx.models.feedback import shares as shares
 from jaxnarx.models.feedback import sources as sources
 from jaxnarx.models.feedback import term_values as term_values
 from jaxnarx.models.feedback import widen as widen
@@ -78,6 +77,7 @@ from jaxnarx.models.record_run import run_states as run_states
 from jaxnarx.models.scheduling import scaled_points as scaled_points
 from jaxnarx.models.scheduling import scheduling_values as scheduling_values
 from jaxnarx.models.scheduling import weights_at as weights_at
+from jaxnarx.models.signed_root import SignedRoot as SignedRoot
 from jaxnarx.models.state import driving_signals as driving_signals
 from jaxnarx.models.state_form import StateForm as StateForm
 from jaxnarx.models.state_form import state_space as state_space
@@ -90,6 +90,7 @@ from jaxnarx.models.validity import AbstractValidity as AbstractValidity
 from jaxnarx.models.validity import AdditiveGates as AdditiveGates
 from jaxnarx.models.validity import Boxes as Boxes
 from jaxnarx.models.validity import Compact as Compact
+from jaxnarx.models.validity import GateProducts as GateProducts
 from jaxnarx.models.validity import Gaussians as Gaussians
 from jaxnarx.models.validity import LogSigmoids as LogSigmoids
 from jaxnarx.models.validity import SigmoidTree as SigmoidTree
@@ -111,6 +112,7 @@ __all__ = [
     "FLAG",
     "GROWTH_EXPONENT",
     "Gaps",
+    "GateProducts",
     "Gaussians",
     "HOLD",
     "LAYERS",
@@ -126,6 +128,7 @@ __all__ = [
     "OutputModel",
     "PRIOR_WEIGHT",
     "SigmoidTree",
+    "SignedRoot",
     "StateForm",
     "VALIDITIES",
     "advance",
@@ -176,7 +179,6 @@ __all__ = [
     "scales",
     "scheduling_values",
     "set_nan_policy",
-    "shares",
     "sources",
     "state_space",
     "term_values",

@@ -38,14 +38,13 @@ def combine_outputs(networks: Sequence[Network]) -> Network:
     measured = len(known.all)
     ends = np.cumsum([0, *(n.hidden for n in networks)]).tolist()
     tables = [
-        _shift_hidden(network.variables, measured, end)
+        shift_hidden(network.variables, measured, end)
         for network, end in zip(networks, ends, strict=False)
     ]
     entries = list(dict.fromkeys(e for table in tables for e in table.entries))
     parts = [
         tuple(
-            _move_terms(model, table, entries, measured, end)
-            for model in network.models
+            move_terms(model, table, entries, measured, end) for model in network.models
         )
         for network, table, end in zip(networks, tables, ends, strict=False)
     ]
@@ -101,14 +100,14 @@ def hidden_names(known: Channels, count: int) -> list[str]:
     return [f"{stem}{n + 1}" for n in range(count)]
 
 
-def _shift_hidden(table: Variables, measured: int, by: int) -> Variables:
+def shift_hidden(table: Variables, measured: int, by: int) -> Variables:
     """Move hidden channels so many places."""
     return Variables.of(
         [(s + by if s >= measured else s, d, f) for s, d, f in table.entries]
     )
 
 
-def _move_terms(
+def move_terms(
     model: OutputModel, table: Variables, entries: list, measured: int, by: int
 ) -> OutputModel:
     """The model with its terms' variables at their places in another table, and hidden
@@ -116,5 +115,5 @@ def _move_terms(
     place = np.array([0, *(entries.index(e) + 1 for e in table.entries)], np.int32)
     factor = jax.device_put(place[np.asarray(model.local.factor)])
     model = eqx.tree_at(lambda m: m.local.factor, model, factor)
-    scheduling = _shift_hidden(model.scheduling, measured, by)
+    scheduling = shift_hidden(model.scheduling, measured, by)
     return dataclasses.replace(model, scheduling=scheduling)

@@ -27,6 +27,7 @@ from jaxtyping import Array, Float, Int
 from jaxnarx.arrays import polynomial_step
 from jaxnarx.models.network import Network, OutputModel
 from jaxnarx.models.scheduling import scheduling_values
+from jaxnarx.models.signed_root import SignedRoot
 from jaxnarx.regressors import Variables, evaluate
 
 MOST_COLLAPSED_MONOMIALS = 128
@@ -78,7 +79,10 @@ def _collapse_one(
 ) -> Float[Array, "states monomials rows"]:
     factor = model.local.factor
     phi = model.validity(scheduling_values(model, x), model.active)
-    weight = jnp.einsum("smr,mk->skr", _state_weights(model, phi), model.local.dense())
+    weights = model.rest(phi)[None]
+    if model.own is not None:
+        weights = jnp.concatenate([weights, model.shares(phi)])
+    weight = jnp.einsum("smr,mk->skr", weights, model.local.dense())
     own = jnp.asarray(lookup)[factor]
     inputs_only = evaluate(jnp.where(own > 0, 0, factor), v)
     beyond = _gain_beyond(factor, len(lookup), v)
@@ -125,16 +129,6 @@ def term_values(
     return terms + jnp.where(fed[(...,) + (None,) * (terms.ndim - 1)], 0.0, beyond)
 
 
-def _state_weights(
-    model: OutputModel, phi: Float[Array, "models rows"]
-) -> Float[Array, "states models rows"]:
-    """Weights of the local models that are fed back the output, then of each group."""
-    if model.own is None:
-        return phi[None]
-    rest = jnp.where(model.own.any(axis=0)[:, None], 0.0, phi)
-    return jnp.concatenate([rest[None], shares(model, phi)])
-
-
 def collapse(
     network: Network,
     v: Float[Array, "vars rows"],
@@ -165,17 +159,15 @@ def group_weights(
 ) -> Float[Array, "groups rows"]:
     """Summed weights of every group's local models."""
     every = [
-        model.own.astype(x_o.dtype)
-        @ model.validity(scheduling_values(model, x_o), model.active)
+        model.group_weights(model.validity(scheduling_values(model, x_o), model.active))
         for model, x_o in zip(network.models, x, strict=True)
-        if model.own is not None
     ]
     return jnp.concatenate(every)
 
 
 def collapsed_step(network: Network):
     """Step of the recursion on `G_t`: y = G_t . h(history); with groups, on that and
-    their weights."""
+    their weights, with `group_root` as its parameters."""
     own, of = fed_back_variables(network.variables, network.signals), sources(network)
     outputs = len(network.models)
     states = np.arange(len(of))[:, None]
@@ -188,13 +180,34 @@ def collapsed_step(network: Network):
         return plain
 
     def step(params, drive, history):
-        g, weight = drive
-        value = plain(params, g, history)
-        groups = list(zip(of[outputs:], value[outputs:] * weight, strict=True))
+        (g, weight), root = drive, params
+        if root is not None:
+            seen = history[:outputs], root.to_root(history[outputs:])
+            history = jnp.concatenate(seen)
+        value = plain(None, g, history)
+        alone = value[outputs:]
+        if root is not None:
+            alone = root.to_output(alone)
+        groups = list(zip(of[outputs:], alone * weight, strict=True))
         mixed = [sum((y for i, y in groups if i == o), value[o]) for o in of[:outputs]]
-        return jnp.concatenate([jnp.stack(mixed), value[outputs:]])
+        return jnp.concatenate([jnp.stack(mixed), alone])
 
     return step
+
+
+def group_root(network: Network) -> SignedRoot | None:
+    """The roots of all groups of all outputs; None where there are none."""
+    if all(model.root is None for model in network.models):
+        return None
+    squares, floor = [], []
+    for model in network.models:
+        size = 0 if model.own is None else len(model.own)
+        root = model.root
+        squares.append(jnp.zeros(size, bool) if root is None else root.squares)
+        floor.append(
+            jnp.zeros(size, network.gain.dtype) if root is None else root.floor
+        )
+    return SignedRoot(jnp.concatenate(squares), jnp.concatenate(floor))
 
 
 def with_history(network: Network, v, x, history):
@@ -264,8 +277,10 @@ def with_own(network: Network, output: int, v: Array, history: Array) -> Array:
 
     `history` (groups, depth, *rows) are the groups' own past outputs.
     """
-    own = network.models[output].own
+    own, root = network.models[output].own, network.models[output].root
     assert own is not None
+    if root is not None:
+        history = root.to_root(history)
 
     def one(member, group):
         mine, seen = v, history[group]
@@ -281,25 +296,6 @@ def places(network: Network) -> list[slice]:
     size = [0 if m.own is None else len(m.own) for m in network.models]
     ends = np.cumsum([len(network.models), *size]).tolist()
     return [slice(a, b) for a, b in itertools.pairwise(ends)]
-
-
-def shares(
-    model: OutputModel, phi: Float[Array, "models *rows"]
-) -> Float[Array, "groups models *rows"]:
-    """Weights of local models within their groups, of sum one.
-
-    Equal weights where all of a group's vanish: a local model alone always has weight
-    one.
-    """
-    assert model.own is not None
-    member = model.own.astype(phi.dtype)
-    several = (..., *(None,) * (phi.ndim - 1))
-    count = jnp.maximum(member.sum(axis=1, keepdims=True), 1.0)
-    member, equal = member[several], (member / count)[several]
-    weight = member * phi[None]
-    total = weight.sum(axis=1, keepdims=True)
-    there = total > 0
-    return jnp.where(there, weight / jnp.where(there, total, 1.0), equal)
 
 
 def advance(
@@ -323,9 +319,9 @@ def advance(
         local = jax.vmap(lambda a, b: jnp.tensordot(a, b, axes=1))(
             model.local.dense(), terms
         )
-        phi = model.validity(z, model.active)
-        outputs.append(jnp.sum(phi * local, axis=0))
-        alone.append(jnp.sum(shares(model, phi) * local[None], axis=1))
+        output, groups = model.add_up(model.validity(z, model.active), local)
+        outputs.append(output)
+        alone.append(groups)
     return jnp.concatenate([jnp.stack(outputs), *alone])
 
 

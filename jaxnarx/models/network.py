@@ -11,6 +11,7 @@ state-space model is one of them, with z(t) the state after sample t,
     z(t) = f(z(t-1), u(t)) ,   y(t) = g(z(t-1), u(t)) .
 """
 
+import math
 from typing import Any
 
 import equinox as eqx
@@ -29,6 +30,7 @@ from jaxnarx.formatting import count, page
 from jaxnarx.models.domain import Domain
 from jaxnarx.models.error_model import ErrorModel
 from jaxnarx.models.outside import FLAG, HOLD, LINEAR, NAN, OUTSIDE, OUTSIDE_WORDS
+from jaxnarx.models.signed_root import SignedRoot
 from jaxnarx.models.validity import AbstractValidity
 from jaxnarx.regressors import (
     Variables,
@@ -85,7 +87,9 @@ class OutputModel(eqx.Module):
     by its weights, not that of the network: a local model alone is an output-error
     model of its region, the local models of a network within a sum of networks are a
     group. A local model is in one group at most; a square table holds none but groups
-    of one, and rows without any. Without `own` there is none.
+    of one, and rows without any. Without `own` there is none. Groups with a `root`
+    compute a root of the output: that is what their own lags are in their terms, while
+    all that a run carries are outputs.
     """
 
     scheduling: Variables = eqx.field(static=True)
@@ -95,6 +99,7 @@ class OutputModel(eqx.Module):
     active: Bool[Array, " models"]
     local: LocalModels
     own: Bool[Array, "groups models"] | None = None
+    root: SignedRoot | None = None
 
     def __call__(
         self, v: Float[Array, "vars *rows"], z: Float[Array, "dims *rows"]
@@ -105,9 +110,57 @@ class OutputModel(eqx.Module):
     def blend(
         self, terms: Float[Array, "terms *rows"], z: Float[Array, "dims *rows"]
     ) -> Float[Array, "*rows"]:
-        """The same from the values of the terms."""
+        """The same from the values of the terms, which all local models have in
+        common."""
         local = jnp.tensordot(self.local.dense(), terms, axes=1)
-        return jnp.sum(self.validity(z, self.active) * local, axis=0)
+        return self.add_up(self.validity(z, self.active), local)[0]
+
+    def add_up(
+        self, phi: Float[Array, "models *rows"], local: Float[Array, "models *rows"]
+    ) -> tuple[Float[Array, "*rows"], Float[Array, "groups *rows"]]:
+        """The output, and those of all groups, from weights and local models."""
+        if self.own is None:
+            return jnp.sum(phi * local, axis=0), phi[:0]
+        computed = jnp.sum(self.shares(phi) * local[None], axis=1)
+        if self.root is None:
+            return jnp.sum(phi * local, axis=0), computed
+        groups = self.root.to_output(computed)
+        return jnp.sum(self.rest(phi) * local, axis=0) + jnp.sum(
+            self.group_weights(phi) * groups, axis=0
+        ), groups
+
+    def rest(self, phi: Float[Array, "models *rows"]) -> Float[Array, "models *rows"]:
+        """Weights of local models that are in no group; zero of all others."""
+        if self.own is None:
+            return phi
+        member = self.own.any(axis=0)
+        return jnp.where(member.reshape(-1, *(1,) * (phi.ndim - 1)), 0.0, phi)
+
+    def group_weights(
+        self, phi: Float[Array, "models *rows"]
+    ) -> Float[Array, "groups *rows"]:
+        """Summed weights of every group's local models."""
+        if self.own is None:
+            return phi[:0]
+        return jnp.tensordot(self.own.astype(phi.dtype), phi, axes=1)
+
+    def shares(
+        self, phi: Float[Array, "models *rows"]
+    ) -> Float[Array, "groups models *rows"]:
+        """Weights of local models within their groups, of sum one.
+
+        Equal weights where all of a group's vanish: a local model alone always has
+        weight one.
+        """
+        assert self.own is not None
+        member = self.own.astype(phi.dtype)
+        several = (..., *(None,) * (phi.ndim - 1))
+        count = jnp.maximum(member.sum(axis=1, keepdims=True), 1.0)
+        member, equal = member[several], (member / count)[several]
+        weight = member * phi[None]
+        total = weight.sum(axis=1, keepdims=True)
+        there = total > 0
+        return jnp.where(there, weight / jnp.where(there, total, 1.0), equal)
 
 
 class Network(eqx.Module):
@@ -187,9 +240,12 @@ class Network(eqx.Module):
             active = np.flatnonzero(np.asarray(model.active)).tolist()
             kind = type(model.validity).__name__
             bound = f", held within {text}" if (text := self.bound_text(o)) else ""
+            floors = dict.fromkeys(self._floor(o, m) for m in active)
+            roots = [f"{floor:.4g}" for floor in floors if floor is not None]
+            of = f", of the root above {' and '.join(roots)}" if roots else ""
             lines.append(
                 f"{name}: {len(active)} local "
-                f"{'model' if len(active) == 1 else f'models by {kind}'}{bound}"
+                f"{'model' if len(active) == 1 else f'models by {kind}'}{of}{bound}"
             )
             for m in active:
                 where = _describe_region(self.regions(o)[m]) if len(active) > 1 else ""
@@ -301,12 +357,24 @@ class Network(eqx.Module):
         return variable_names(self.channels, self.variables)
 
     def require_measured(self, what: str) -> None:
-        """SpecError where something is asked for that hidden channels have not."""
+        """SpecError where something is asked for that hidden channels have not, and
+        outputs of which a root is computed."""
         if self.hidden:
             raise SpecError(
                 f"{what} knows no hidden channels, and the model has "
                 f"{', '.join(c.name for c in self.channels.hidden)}: nobody measures "
                 "them. Take a model without.",
+                field="network",
+            )
+        roots = [
+            name
+            for name, model in zip(self.computed_names, self.models, strict=True)
+            if model.root is not None
+        ]
+        if roots:
+            raise SpecError(
+                f"{what} knows no outputs of which a root is computed, and the model "
+                f"has {', '.join(roots)}. Take a model without.",
                 field="network",
             )
 
@@ -440,7 +508,7 @@ class Network(eqx.Module):
         (where it is valid in physical units, by scheduling variable: `centre` and
         `width`, or `above` and `below`), `feedback` (`"own"` where the model is fed
         back the output of its own group, `NOx_2` for the second of NOx, else
-        `"network"`),
+        `"network"`), `floor` where its group computes r of NOx_2 = floor + r |r|,
         `terms` (text and coefficient) and the whole as `text` or `latex`.
         """
         return [
@@ -457,6 +525,10 @@ class Network(eqx.Module):
         scale = np.concatenate([[1.0], np.asarray(self.gain)[signal]])
         value = np.asarray(local.coefficient)[m, slots]
         unit = float(np.asarray(self.gain)[self.signals[o]])
+        floor = self._floor(o, m)
+        if floor is not None:  # own lags are roots too
+            unit = math.sqrt(unit)
+            scale[1:][np.array(signal) == self.signals[o]] = unit
         # Of channels of extreme units it may be beyond every number: inf then, or zero.
         with np.errstate(all="ignore"):
             value = value / np.prod(scale[factor], axis=1)
@@ -475,6 +547,7 @@ class Network(eqx.Module):
             "output": output,
             "model": int(m) + 1,
             "feedback": "own" if groups else "network",
+            **({} if floor is None else {"floor": floor}),
             "region": self.regions(o)[int(m)],
             "terms": [
                 (term_name(names, row), float(c))
@@ -482,6 +555,18 @@ class Network(eqx.Module):
             ],
             style: equation(left, names, factor.tolist(), value, style=style),
         }
+
+    def _floor(self, o: int, m: int) -> float | None:
+        """The floor, physical, below a local model's root; None where it has none."""
+        model = self.models[o]
+        if model.root is None or model.own is None:
+            return None
+        squares = np.asarray(model.root.squares)[:, None] & np.asarray(model.own)
+        groups = np.flatnonzero(squares[:, m])
+        if not len(groups):
+            return None
+        gain = float(np.asarray(self.gain)[self.signals[o]])
+        return gain * float(np.asarray(model.root.floor)[groups[0]])
 
     def regions(self, output: int | str) -> list[dict[str, dict[str, float]]]:
         """The regions of one output's or hidden channel's (its number or name) local

@@ -11,6 +11,7 @@ from jaxnarx.models.feedback import (
     collapses,
     depth,
     general_step,
+    group_root,
     group_weights,
     widen,
 )
@@ -32,7 +33,9 @@ def recursion(network: Network, v: Float[Array, "vars time"], x: tuple):
             return tuple(jnp.moveaxis(part, -1, 0) for part in parts)
 
         g = map_blocks(block, (v, x), BLOCK_SAMPLES)
-        return collapsed_step(network), None, g if network.parallel else g[0]
+        if not network.parallel:
+            return collapsed_step(network), None, g[0]
+        return collapsed_step(network), group_root(network), g
     drive = (v.T, tuple(x_o.T for x_o in x))
     return general_step(network), eqx.filter(network, eqx.is_array), drive
 

@@ -9,9 +9,10 @@ hidden channels as format 6, one with groups of local models that have feedback 
 own as format 7, one with a domain, a certificate, or inputs that are not held where its
 outputs are, as format 8, one with prediction intervals, or that says nothing beyond its
 ranges, as format 9, one whose outputs are not a number where an input is missing, or
-with a time of its own from which they are invalid then, as format 10, so that older
-programs say what they lack; any other is still written as format 1. Files of formats 1
-to 4 hold none to their ranges. In format 4 a group is a local model alone.
+with a time of its own from which they are invalid then, as format 10, one that computes
+roots of outputs as format 11, so that older programs say what they lack; any other is
+still written as format 1. Files of formats 1 to 4 hold none to their ranges. In format
+4 a group is a local model alone.
 
 The last key of the header, `sha256`, is a digest of the rest of it and the arrays: a
 file that was changed after it was written is refused. Files of before have none.
@@ -46,6 +47,7 @@ from jaxnarx.models.network import (
     Network,
     OutputModel,
 )
+from jaxnarx.models.signed_root import SignedRoot
 from jaxnarx.models.validate import LARGEST_LAG, require_consistent
 from jaxnarx.models.validity import VALIDITIES, Gaussians
 from jaxnarx.regressors import (
@@ -54,7 +56,7 @@ from jaxnarx.regressors import (
     filter_to_dict,
 )
 
-FORMAT_VERSION = 10
+FORMAT_VERSION = 11
 """Newest format read."""
 WINDOW_WORDS = "the window of hidden channels"
 AFTER_WORDS = "the number of samples from which outputs are invalid"
@@ -118,6 +120,8 @@ def _usual(hold: object) -> str:
 
 def _format(network: Network) -> int:
     """Oldest format that holds all of the network."""
+    if any(model.root is not None for model in network.models):
+        return 11
     if _missing_policy(network):
         return 10
     if network.errors is not None or network.outside == NAN:
@@ -420,6 +424,7 @@ def _build(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Network:
                 get(f"{lead}.active", "b"),
                 local,
                 _groups(get(f"{lead}.own", "b")) if f"{lead}.own" in tensors else None,
+                _root(lead, get) if f"{lead}.root.floor" in tensors else None,
             )
         )
     after = header.get("invalid_after")
@@ -460,6 +465,11 @@ def _errors(get: Callable[..., jax.Array]) -> ErrorModel:
     return ErrorModel(
         *(get(f".errors.{field.name}") for field in dataclasses.fields(ErrorModel))
     )
+
+
+def _root(lead: str, get: Callable[..., jax.Array]) -> SignedRoot:
+    """The root that groups of an output compute."""
+    return SignedRoot(get(f"{lead}.root.squares", "b"), get(f"{lead}.root.floor"))
 
 
 def _groups(own: jax.Array) -> jax.Array:

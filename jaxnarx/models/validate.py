@@ -151,7 +151,15 @@ def _check_model(model: OutputModel, limit: int) -> None:
 
 def _check_groups(model: OutputModel) -> None:
     """Local models that have feedback of their own, by groups."""
+    root = model.root
+    if root is not None:
+        shape = (0 if model.own is None else len(model.own),)
+        _require(
+            root.squares.shape == shape == root.floor.shape,
+            "roots and kinds of feedback differ in number",
+        )
     if model.own is None:
+        _require(root is None, "a root is computed by a kind of feedback")
         return
     own, models = np.asarray(model.own), len(model.active)
     _require(

@@ -27,7 +27,6 @@ from jaxnarx.models import (
     places,
     recursion,
     scheduling_values,
-    shares,
     term_values,
     widen,
     with_history,
@@ -70,22 +69,31 @@ def output_gradient(
         mine = jnp.take_along_axis(terms, model.local.index[..., None], axis=1)
     phi = model.validity(z, model.active)
     alone = jnp.where(model.local.used[..., None], mine, 0.0)
-    coefficient = phi[:, None] * alone
+    weight = jnp.zeros((0, *phi.shape), phi.dtype)
+    by_local = phi
+    if model.own is not None:
+        weight = model.shares(phi)
+        if model.root is not None:
+            slope = model.root.slope(jnp.sum(weight * local[None], axis=1))
+            weight = weight * slope[:, None]
+            by_local = model.rest(phi) + jnp.sum(
+                model.group_weights(phi)[:, None] * weight, axis=0
+            )
+    coefficient = by_local[:, None] * alone
 
     def blend(parameters, z, local):
         phi = model.validity.replace_parameters(parameters)(z, model.active)
-        return jnp.sum(phi * local)
+        return model.add_up(phi, local)[0]
 
     by_validity = jax.vmap(jax.grad(blend), in_axes=(None, 1, 1), out_axes=-1)
     by_fields = by_validity(model.validity.parameters, z, local)
     by_output = [coefficient, *by_fields]
     if model.own is None:
         return by_output, []
-    weight = shares(model, phi)
 
     def group(parameters, z, local):
         phi = model.validity.replace_parameters(parameters)(z, model.active)
-        return jnp.sum(shares(model, phi) * local[None], axis=1)
+        return model.add_up(phi, local)[1]
 
     groups, models = model.own.shape
     if groups == models:  # each one local model, whose weight is one

@@ -29,7 +29,10 @@ class Preset:
     """After so many methods of a kind, none of which came near the best, the kind is
     given up; not those with hidden states of short records."""
     sums: int = 0
-    """Most candidates in closed form whose sum is tried."""
+    """Most candidates, each the best of its kind, whose mean is tried."""
+    roots: int = 0
+    """How many polynomials are grown that model the root of an output far from
+    symmetric; 0: none is modelled."""
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
@@ -61,8 +64,9 @@ PRESETS = {
         fed_back=1,
         states=0,
         longest=5_000,
+        roots=1,
     ),
-    "good": Preset("minutes for every output", gates=2),
+    "good": Preset("minutes for every output", gates=2, sums=3, roots=2),
     "best": Preset(
         "the smallest error whatever it costs: an hour and more",
         max_models=24,
@@ -71,7 +75,8 @@ PRESETS = {
         states=9,
         gates=6,
         patience=16,
-        sums=4,
+        sums=3,
+        roots=4,
         longest=60_000,
         rule="best",
     ),

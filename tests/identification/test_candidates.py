@@ -15,7 +15,8 @@ from jaxnarx.identification.candidates import CandidateSearch
 from jaxnarx.identification.cross_validate import CrossValidation
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.identification.narx_candidates import propose_narx
-from jaxnarx.partition import ClosedForm, ClosedSearch, DataProfile, Sum, profile_data
+from jaxnarx.models import hold_to_range
+from jaxnarx.partition import ClosedForm, ClosedSearch, DataProfile, profile_data
 from jaxnarx.settings import Identification, Preset
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, states=0, longest=10_000)
@@ -47,7 +48,7 @@ def judged(monkeypatch, few) -> dict:
     class Fake(ClosedSearch):
         spread = 1.5  # pyright: ignore
 
-        def __init__(self, *_):
+        def __init__(self, *_, root=False):
             pass
 
         def candidates(self, **limits):  # pyright: ignore
@@ -218,36 +219,45 @@ def test_what_leaves_its_bounds_is_vetoed_with_its_model(
     assert all(np.all(np.isfinite(y)) for y in run.outputs)
 
 
-def test_a_sum_of_candidates_is_one_of_them(data, seen, few, judged, monkeypatch):
-    """Of those in closed form that are no constant and no ARX model; its network is
-    the sum of theirs."""
+def test_the_mean_of_the_best_of_every_kind_is_a_candidate(
+    data, seen, few, judged, monkeypatch
+):
+    """A constant and ARX models are in none; its network is the sum of theirs."""
     search = ClosedSearch(data, seen, groups(data))
     orders = {len(f.stage.design.a) - 1: f for f in search.linear()}
     members = [*(orders[n] for n in (1, 2)), *few]
-    asked = []
-
-    def best(parts, most):
-        asked.append(([p.name for p in parts], most))
-        return Sum(tuple(parts), tuple(e for _, e in parts[0].left))
-
-    monkeypatch.setattr(module, "best_sum", best)
+    first = min(members[:2], key=lambda one: one.free_run)
+    theirs = hold_to_range(orders[3].network())
+    errors = tuple((at, -1.001 * e) for at, e in first.held_out_errors())
+    judged["results"] = [made(first.losses(), theirs, left=errors)]
     every = lambda self, **limits: iter(members)  # noqa: E731
     monkeypatch.setattr(module.ClosedSearch, "candidates", every)
-    _, every = tried(data, seen, dataclasses.replace(TINY, sums=4, fed_back=0))
-    assert asked == [([one.name for one in members[:2]], 4)]
-    row, _ = every[-1]
-    assert row.family == "sum" and row.name == "1/2 (order 1) + 1/2 (order 2)"
-    assert row.free_run == pytest.approx(members[0].free_run, rel=1e-6)  # float32
-    assert row.groups == pytest.approx(tuple(members[0].groups()), rel=1e-6)
-    networks = [own for _, own in (*every[:2], every[-1]) if own is not None]
-    one, other, both = (jnx.simulate(n, data).value.outputs[0] for n in networks)
-    late = slice(networks[-1].history, None)
-    middle = (one[late] + other[late]) / 2
+    _, every = tried(data, seen, dataclasses.replace(TINY, sums=3, fed_back=1))
+    row, both = every[-1]
+    assert row.family == "sum" and both is not None
+    assert (
+        row.name
+        == f"mean of OE, {first.name}; polynomial NARX, {names(data, seen)[0][1]}"
+    )
+    # Errors that are opposite are nothing together.
+    assert row.free_run < 1e-3 and row.one_step is None
+    assert row.parameters == cost(both).parameters
+    runs = [jnx.simulate(n, data).value.outputs[0] for n in (first.network(), theirs)]
+    middle, run = np.mean(runs, axis=0), jnx.simulate(both, data).value.outputs[0]
     # Begun later, the first part has another start.
-    error = np.abs(both[late] - middle)[-20:]
-    assert error.max() < 1e-3 * np.ptp(middle)
-    assert row.one_step is not None and 0 < row.one_step < members[0].one_step()
-    assert row.parameters == cost(networks[-1]).parameters
+    assert np.abs(run - middle)[-20:].max() < 1e-3 * np.ptp(middle)
+
+
+def test_a_part_that_was_judged_before_is_judged_again(data, seen, few, judged):
+    """Its errors at all samples are not kept where a search is interrupted."""
+    network = hold_to_range(few[1].network())
+    one = made([0.04, 0.09, 0.01, 0.25], network)
+    (family, name), preset = names(data, seen)[0], dataclasses.replace(TINY, sums=3)
+    preset = dataclasses.replace(preset, fed_back=1)
+    known = Candidate("y", 9, family, name, free_run=0.3, groups=(0.2, 0.3, 0.1, 0.5))
+    judged["results"] = [one]
+    _, every = tried(data, seen, preset, known=[known])
+    assert len(judged["asked"]) == 1 and len(every) == len(few)
 
 
 def test_candidates_of_other_packages_are_judged_behind_the_closed_forms(

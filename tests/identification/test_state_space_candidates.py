@@ -229,7 +229,7 @@ def asked(monkeypatch, closed) -> dict:
     class Fake(ClosedSearch):
         spread = 1.5  # pyright: ignore
 
-        def __init__(self, *_):
+        def __init__(self, *_, root=False):
             pass
 
         def candidates(self, **_):  # pyright: ignore

@@ -41,6 +41,19 @@ def validity(model, signals: np.ndarray, t: int) -> np.ndarray:
     return oracles.validity(z[None], np.asarray(centre), np.asarray(width))[0]
 
 
+def to_root(model, group: int, y):
+    if model.root is None or not model.root.squares[group]:
+        return y
+    far = y - float(model.root.floor[group])
+    return np.sign(far) * np.sqrt(np.abs(far))
+
+
+def to_output(model, group: int, r):
+    if model.root is None or not model.root.squares[group]:
+        return r
+    return float(model.root.floor[group]) + r * np.abs(r)
+
+
 def plain_run(net: Network, rows: np.ndarray, start: int, k: int | None = None):
     """Free run of one record from `start`, or k samples from it, sample by sample.
 
@@ -66,16 +79,20 @@ def plain_run(net: Network, rows: np.ndarray, start: int, k: int | None = None):
             for m in range(len(phi)):
                 seen = shared.copy()
                 for g in np.flatnonzero(np.asarray(table)[:, m]).tolist():
-                    seen[:, s] = alone[o, g][:, s]
+                    own = alone[o, g][:, s]
+                    seen[:, s] = gain[s] * to_root(model, g, own / gain[s])
                 v = [1.0, *(seen[t - d, c] / gain[c] for c, d in net.variables.rows)]
                 factor = np.asarray(model.local.factor)
                 terms = [np.prod([v[i] for i in row]) for row in factor]
                 value[m] = theta[m] @ np.array(terms)
-                total += phi[m] * value[m]
-            new[o] = total
+                if not np.asarray(table)[:, m].any():
+                    total += phi[m] * value[m]
             for g, members in enumerate(np.asarray(table)):
                 if members.any():
-                    new[o, g] = np.average(value, weights=phi * members)
+                    mean = np.average(value, weights=phi * members)
+                    new[o, g] = to_output(model, g, mean)
+                    total += np.sum(phi * members) * new[o, g]
+            new[o] = total
         for key, value in new.items():
             o = key[0] if isinstance(key, tuple) else key
             s = net.signals[o]

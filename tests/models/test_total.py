@@ -5,6 +5,7 @@ import dataclasses
 import common
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from kinds import sum_part
@@ -14,7 +15,19 @@ import jaxnarx as jnx
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import cost
-from jaxnarx.models import Network, load, save, total
+from jaxnarx.linear import set_state_ranges, state_network
+from jaxnarx.linear.state_space.gates import add_gates
+from jaxnarx.linear.state_space.model import StateSpace
+from jaxnarx.models import (
+    AdditiveGates,
+    GateProducts,
+    Network,
+    SignedRoot,
+    hold_to_range,
+    load,
+    save,
+    total,
+)
 from jaxnarx.regressors import Variables
 
 GAIN = np.array([2.0, 0.5, 4.0])
@@ -100,15 +113,104 @@ def test_gates_that_share_cost_as_any_other(parts, added):
     assert own.exponentials == sum(one.exponentials for one in alone) + 2
 
 
+@pytest.fixture(scope="module")
+def kinds(data, parts) -> list[Network]:
+    """A tree, one that computes a root, and hidden states with gates that add up."""
+    every = np.ones((1, 2), bool)
+    root = SignedRoot(*jax.device_put((every[:, 0], np.array([-9.0]))))
+    model = dataclasses.replace(parts[2].models[0], own=jax.device_put(every))
+    model = dataclasses.replace(model, root=root)
+    rng = np.random.default_rng(7)
+    plant = StateSpace(
+        np.array([[0.7, 0.2], [-0.1, 0.5]]),
+        rng.normal(size=(2, 2)),
+        np.zeros(2),
+        rng.normal(size=(1, 2)),
+        np.ones((1, 2)),
+        np.array([2.0]),
+        np.zeros((1, 2)),
+        np.ones(1),
+    )
+    hidden = state_network(plant, data, (0,), window=6)
+    hidden = add_gates(set_state_ranges(hidden, data), data, 3, 1)
+    models = []
+    for one in hidden.models:
+        theta = np.array(one.local.coefficient)
+        theta[1:, 0] = rng.normal(size=3)
+        local = dataclasses.replace(one.local, coefficient=jax.device_put(theta))
+        models.append(dataclasses.replace(one, local=local))
+    hidden = dataclasses.replace(hidden, models=tuple(models))
+    rooted = dataclasses.replace(parts[2], models=(model,))
+    found = []
+    for one in (parts[0], rooted, hold_to_range(hidden, None)):
+        far = np.asarray(one.upper).copy()
+        far[0] = 1e4 / float(one.gain[one.signals[0]])  # squares are large
+        low, high = jax.device_put((np.append(-far[:1], one.lower[1:]), far))
+        found.append(dataclasses.replace(one, lower=low, upper=high))
+    return found
+
+
+def test_parts_of_several_kinds_are_added(kinds, data):
+    """A tree, a root and hidden states, with gains that differ."""
+    found = total(kinds, SHARE)
+    assert not np.array_equal(kinds[2].gain[:3], kinds[0].gain)
+    assert found.hidden == kinds[2].hidden
+    assert isinstance(found.models[0].validity, GateProducts)
+    run = jnx.simulate(found, data).value
+    # Hidden channels begin as it suits the sum: they forget that.
+    late, history = slice(found.before + 30, None), found.before
+    for one, other in zip(
+        run.computed, expected(jnx.simulate, kinds, data, history), strict=True
+    ):
+        np.testing.assert_allclose(one[late], other[late], rtol=1e-6, atol=1e-5)
+        assert np.ptp(other[late]) > 0.1
+    (first, _) = data
+    y = found(first.u, first.y[: found.before])
+    np.testing.assert_allclose(y, run.outputs[0], rtol=1e-9, atol=1e-9)
+
+
+def test_a_sum_of_kinds_is_saved_exported_and_has_a_slope(kinds, data, tmp_path):
+    found = total(kinds, SHARE)
+    save(found, tmp_path / "m.safetensors")
+    assert same(load(tmp_path / "m.safetensors"), found)
+    jnx.export(found, data, to=("python",))  # proven against the run
+    runs = jnx.prepare(found, data)
+    moving, fixed = eqx.partition(found, jnx.freeze(found))
+
+    def loss(moving):
+        return jnp.sum(jnx.free_run(eqx.combine(moving, fixed), runs) ** 2)
+
+    leaves, tree = jax.tree.flatten(moving)
+    slope = jax.tree.leaves(eqx.filter_jit(eqx.filter_grad(loss))(moving))
+    value = eqx.filter_jit(loss)
+    for n in (0, 2):  # coefficients of the output and of gates
+        k = int(np.argmax(np.abs(np.asarray(slope[n]).ravel())))
+        step = np.zeros(leaves[n].size)
+        step[k] = 1e-6
+        ends = []
+        for sign in (1, -1):
+            moved = leaves[n] + sign * jnp.asarray(step.reshape(leaves[n].shape))
+            ends.append(value(tree.unflatten([*leaves[:n], moved, *leaves[n + 1 :]])))
+        central = float(ends[0] - ends[1]) / 2e-6
+        np.testing.assert_allclose(np.ravel(slope[n])[k], central, rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     "change",
-    ["another gain", "validity", "own feedback", "scheduling on y", "a weight of zero"],
+    [
+        *("other bounds", "validity", "own feedback", "scheduling on y"),
+        *("a weight of zero", "gates that look at y"),
+    ],
 )
 def test_what_cannot_be_added_is_refused(change, parts, data):
     one, other, share = parts[0], parts[2], [0.5, 0.5]
     model = other.models[0]
-    if change == "another gain":
-        other = dataclasses.replace(other, gain=other.gain * 2)
+    if change == "other bounds":
+        other = dataclasses.replace(other, upper=other.upper * 2)
+    if change == "gates that look at y":
+        gates = AdditiveGates(*jax.device_put((np.ones((1, 2)), np.ones(1))))
+        model = dataclasses.replace(model, validity=gates)
+        other = dataclasses.replace(other, models=(model,))
     if change == "validity":
         other = common.named("by inputs")
         one = dataclasses.replace(other)

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from jaxnarx.contracts import validity
-from jaxnarx.models import AdditiveGates, Boxes, Compact, Gaussians, LogSigmoids
+from jaxnarx.models import (
+    AdditiveGates,
+    Boxes,
+    Compact,
+    GateProducts,
+    Gaussians,
+    LogSigmoids,
+)
 
 weights = eqx.filter_jit(lambda f, z, active: f(z, active))
 
@@ -39,6 +46,14 @@ SHAPES = {
     "steep log-sigmoids": (sigmoids(1e5), 1, 4),
     "additive gates": (
         AdditiveGates(array([[3.0, -2.0], [0.0, 5.0]]), array([0.4, 2.0])),
+        2,
+        3,
+    ),
+    "products of gates": (
+        GateProducts(
+            *(array([[3.0, -2.0], [0.0, 1.0]]), array([0.4, 0.6]), array([1.0, 2.0])),
+            jax.device_put(np.array([[0, 0], [1, 0], [-1, 1]], np.int32)),
+        ),
         2,
         3,
     ),

@@ -15,7 +15,7 @@ from jaxnarx.models.validity.boxes import Boxes
 from jaxnarx.models.validity.compact import Compact
 from jaxnarx.models.validity.gaussians import Gaussians
 from jaxnarx.models.validity.log_sigmoids import LogSigmoids
-from jaxnarx.models.validity.sigmoid_tree import SigmoidTree
+from jaxnarx.models.validity.sigmoid_tree import GateProducts, SigmoidTree
 
 
 def _require_arrays(name: str, kind: type[AbstractValidity]) -> None:
@@ -41,7 +41,7 @@ VALIDITIES: Registry[type[AbstractValidity]] = Registry(
         kind.__name__: kind
         for kind in (
             *(Gaussians, Boxes, Compact, LogSigmoids, SigmoidTree),
-            AdditiveGates,
+            *(AdditiveGates, GateProducts),
         )
     },
     check=_require_arrays,
@@ -67,6 +67,7 @@ __all__ = [
     "AdditiveGates",
     "Boxes",
     "Compact",
+    "GateProducts",
     "Gaussians",
     "LogSigmoids",
     "SigmoidTree",

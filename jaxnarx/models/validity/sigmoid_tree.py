@@ -75,14 +75,15 @@ class SigmoidTree(AbstractValidity):
         farthest = jnp.sum(jnp.maximum(unit, 0.0), axis=1)
         low, high = jnp.log(jnp.asarray(width_band, self.border.dtype))
         flat = self.log_steepness
+        kind = type(self)
         return (
-            SigmoidTree(
+            kind(
                 self.direction - 1.0,
                 jnp.minimum(self.border - CENTRE_ROOM, nearest),
                 flat - high,
                 self.path,
             ),
-            SigmoidTree(
+            kind(
                 self.direction + 1.0,
                 jnp.maximum(self.border + CENTRE_ROOM, farthest),
                 flat - low,
@@ -120,6 +121,18 @@ class SigmoidTree(AbstractValidity):
             _leaf(names, factor, level, lead, row.tolist())
             for row in np.asarray(self.path)
         ]
+
+
+class GateProducts(SigmoidTree):
+    """Products of gates, as in a tree, that need not sum to one.
+
+    A model whose `path` meets no gate counts everywhere, one behind a single gate as
+    far as that is open: additive gates are such products, and so are trees and additive
+    gates side by side, each behind gates that give it its share.
+    """
+
+    sums_to_one: ClassVar[bool] = False
+    is_convex: ClassVar[bool] = False
 
 
 def _leaf(names, factor, level, lead, path: list[int]) -> Region:

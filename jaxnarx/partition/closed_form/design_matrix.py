@@ -315,7 +315,9 @@ class BlockDesign:
         range of the other groups, a group that goes farther would judge the limits, and
         nothing else.
         """
-        return self.measured[group] - np.clip(run, *self.trained_range())
+        to_output = self.signals.to_output
+        answer = np.clip(to_output(run), *self.trained_range())
+        return to_output(self.measured[group]) - answer
 
     def places(self, group: int) -> Int[np.ndarray, " _"]:
         """The places of a group's samples among those of all records."""
@@ -325,8 +327,11 @@ class BlockDesign:
 
     def trained_range(self) -> tuple[float, float]:
         """The range of the output in all that is measured, widened as it is in use."""
-        low = min(y.min(initial=np.inf) for y in self.measured)
-        high = max(y.max(initial=-np.inf) for y in self.measured)
+        ends = [
+            min(y.min(initial=np.inf) for y in self.measured),
+            max(y.max(initial=-np.inf) for y in self.measured),
+        ]
+        low, high = self.signals.to_output(np.array(ends)).tolist()
         return low - RANGE_MARGIN * (high - low), high + RANGE_MARGIN * (high - low)
 
     def scheduling_values(self) -> list[Float[np.ndarray, "dims _"]]:

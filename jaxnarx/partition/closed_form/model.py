@@ -47,10 +47,11 @@ class ClosedForm:
         by the models made without them."""
         low, high = self._bounds
         left = self.stage.held_out_runs() if self.left_out is None else self.left_out
+        every = (
+            self._signals.to_output(run) for run in (*self._runs(), *map(tame, left))
+        )
         return sum(
-            bool(has_diverged((run < low) | (run > high)))
-            for run in (*self._runs(), *map(tame, left))
-            if len(run)
+            bool(has_diverged((run < low) | (run > high))) for run in every if len(run)
         )
 
     def one_step(self) -> float:
@@ -66,7 +67,9 @@ class ClosedForm:
             past = np.concatenate([one.before[:order][::-1], one.y])
             at = np.concatenate(one.counted)
             places.append(one.first + at)
-            errors.append((np.convolve(past, a, mode="valid") - raw)[at])
+            ahead = one.y - (np.convolve(past, a, mode="valid") - raw)
+            seen, told = self._signals.to_output(np.stack([one.y, ahead])[:, at])
+            errors.append(seen - told)
         return np.concatenate(places), np.concatenate(errors)
 
     def held_out_errors(self) -> list[Errors]:
@@ -81,7 +84,7 @@ class ClosedForm:
 
     @property
     def _bounds(self) -> tuple[float, float]:
-        y = np.concatenate(self.stage.design.measured)
+        y = self._signals.to_output(np.concatenate(self.stage.design.measured))
         margin = OUTPUT_MARGIN * (y.max() - y.min())
         return float(y.min() - margin), float(y.max() + margin)
 
@@ -89,7 +92,9 @@ class ClosedForm:
         """The part of the candidate that a sum needs."""
         left = [(at, error.astype(np.float32)) for at, error in self.held_out_errors()]
         at, error = self.one_step_errors()
-        return Summand(self.name, network, left, (at, error.astype(np.float32)))
+        return Summand(
+            f"{self.family}, {self.name}", network, left, (at, error.astype(np.float32))
+        )
 
     def _runs(self) -> list[np.ndarray]:
         """Free runs by the model of all groups."""

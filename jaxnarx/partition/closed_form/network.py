@@ -1,5 +1,7 @@
 """A network from nested regions: leaves of a tree, terms in scaled signals."""
 
+import dataclasses
+
 import jax
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +11,7 @@ from jaxnarx.models import (
     Network,
     OutputModel,
     SigmoidTree,
+    SignedRoot,
     assemble,
     global_model,
     local_models,
@@ -55,7 +58,17 @@ def make_network(
         model = global_model(pool.factor, theta[0])
     else:
         model = _model_of_leaves(signals, leaves, pool, theta)
+    if signals.root is not None:
+        model = _of_root(model, signals.root.floor)
     return assemble(pool, data, signals.gain, [model])
+
+
+def _of_root(model: OutputModel, floor: float) -> OutputModel:
+    """The model of which all is one group that computes a root above a floor."""
+    dtype = np.asarray(model.local.coefficient).dtype
+    every = np.ones((1, len(np.asarray(model.active))), bool)
+    own, *fields = jax.device_put((every, every[:, 0], np.array([floor], dtype)))
+    return dataclasses.replace(model, own=own, root=SignedRoot(*fields))
 
 
 def _rescale_coefficients(

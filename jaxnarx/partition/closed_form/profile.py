@@ -42,6 +42,8 @@ class DataProfile:
     begin: int = 0
     """Samples at the begin of every record that judge no candidate: all of a search are
     compared on the same samples, whatever history they need."""
+    skewness: float = 0.0
+    """Third moment of the output over the cube of its standard deviation."""
 
     def to_dict(self, inputs: list[str]) -> dict:
         """The facts as plain values, for people."""
@@ -77,7 +79,18 @@ def profile_data(data: Dataset, output: str) -> DataProfile:
         reach,
         max(1, data.samples // COUNTED_SAMPLES),
         min(max(max(dead) + reach, HISTORY_SAMPLES), usual // 4),
+        _skewness(data, inputs + o),
     )
+
+
+def _skewness(data: Dataset, place: int) -> float:
+    """The skewness of a channel where it is valid; zero of a constant."""
+    o = place - len(data.channels.inputs)
+    y = np.concatenate([r.y[r.valid[:, place], o] for r in data])
+    size = float(np.abs(y).max(initial=0.0))
+    far = (y - y.mean()) / size if size > 0 else y
+    spread = float(far.std())
+    return float(np.mean((far / spread) ** 3)) if spread > 1e-12 else 0.0
 
 
 def _require_seen(data: Dataset) -> None:

@@ -50,6 +50,8 @@ ROUND_ERROR_SHARE = 0.995
 """Share of the error that must be left at most for another round."""
 NEARLY_BEST_FACTOR = 1.1
 """Error of a partition, over that of the best, with which its gates are moved too."""
+OF_ROOT = " of the root"
+"""Behind the family of candidates that model a root of the output."""
 GROWN_ROOTS = 2
 """How many of the polynomials are grown."""
 
@@ -61,8 +63,18 @@ Root = tuple[int, int, ClosedForm]
 class ClosedSearch:
     """Candidates for one output; what several of them need is formed once."""
 
-    def __init__(self, data: Dataset, profile: DataProfile, groups: Groups):
+    def __init__(
+        self,
+        data: Dataset,
+        profile: DataProfile,
+        groups: Groups,
+        *,
+        root: bool = False,
+    ):
+        """With `root` a root of the output is modelled; all errors are those of the
+        output."""
         self.data, self.profile, self.groups = data, profile, groups
+        self.modelled_root = root
         self.known: dict[tuple[Memory, int], RunSignals] = {}
         self.roots: list[ClosedForm] = []
         """The polynomials that `candidates` has divided."""
@@ -84,6 +96,7 @@ class ClosedSearch:
                     history=LARGEST_ORDER,
                     every=self.profile.every,
                     begin=self.profile.begin,
+                    root=self.modelled_root,
                 )
             }
         return self.known[key]
@@ -94,6 +107,8 @@ class ClosedSearch:
 
     def make_candidate(self, family: str, name: str, stage: GrownStage) -> ClosedForm:
         """A candidate."""
+        if self.modelled_root:
+            family += OF_ROOT
         return ClosedForm(family, name, stage, self.data)
 
     def root(
@@ -235,15 +250,18 @@ class ClosedSearch:
         """Standard deviation of the output, in its unit."""
         (one,) = self.known.values()
         o = len(self.data.channels.inputs) + one.pool.outputs[0]
-        return float(one.spread * one.gain[o])
+        spread = one.spread if one.root is None else one.root.spread
+        return float(spread * one.gain[o])
 
     def candidates(
         self, max_models: int, degree: int = 2, grown_roots: int = GROWN_ROOTS
     ) -> Iterator[ClosedForm]:
-        """Candidates from the mean to regions, cheap ones first."""
-        yield self.constant()
-        for order in (1, 2, 3):
-            yield self.equation_error(order)
+        """Candidates from the mean to regions, cheap ones first; of a root output-error
+        models and what follows."""
+        if not self.modelled_root:
+            yield self.constant()
+            for order in (1, 2, 3):
+                yield self.equation_error(order)
         orders = {}
         for one in self.linear():
             orders[len(one.stage.design.a) - 1] = one.stage.design.a

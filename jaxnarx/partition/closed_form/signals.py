@@ -11,6 +11,10 @@ from jaxnarx.models import assemble, global_model, ranges
 from jaxnarx.regressors import Centring, Pool, Variables
 from jaxnarx.simulation import make_drive, make_masks
 
+ROOT_ROOM = 0.1
+"""Room between the least output and the floor of its root, in standard deviations: a
+root is infinitely steep at its floor."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Stretch:
@@ -50,6 +54,21 @@ class Stretch:
         return lfilter([1.0], a, rest, zi=state)[0]
 
 
+@dataclasses.dataclass(frozen=True)
+class Root:
+    """The signed root of an output above a floor is modelled in its place.
+
+    y = floor + r |r|: what is far above all else weighs less in least squares of r.
+    """
+
+    floor: float
+    """Scaled by the output's gain, as are ..."""
+    middle: float
+    """... the mean of the output itself ..."""
+    spread: float
+    """... and its standard deviation."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class RunSignals:
     """All records of one output, with the scales of what they hold."""
@@ -68,6 +87,16 @@ class RunSignals:
     apart: Bool[np.ndarray, "groups parts"]
     """Parts that are held out with a group: the group itself, and the gaps beside
     it."""
+    root: Root | None = None
+    """Where a root of the output is modelled, whose are y, `middle` and `spread`."""
+
+    def to_output(self, run: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows"]:
+        """Standard deviations of the output from values of what is modelled."""
+        if self.root is None:
+            return run
+        value = self.middle + self.spread * run
+        y = self.root.floor + value * np.abs(value)
+        return (y - self.root.middle) / self.root.spread
 
     @property
     def factor(self) -> Int[np.ndarray, "terms degree"]:
@@ -85,12 +114,14 @@ def make_signals(
     history: int,
     every: int,
     begin: int = 0,
+    root: bool = False,
 ) -> RunSignals:
     """Columns' factors and targets of every record, each computed once.
 
     `pool` has one output and terms of inputs alone. `labels` and `apart` are
     `Groups.parts`. Runs start behind `history` samples at least; of every so many
-    samples of a record one counts, but none of the first `begin`.
+    samples of a record one counts, but none of the first `begin`. With `root` a root of
+    the output is modelled.
     """
     table = Variables.of(
         [
@@ -115,6 +146,12 @@ def make_signals(
     size = np.where(size > 1e-9 * np.maximum(np.abs(shift), 1e-300), size, 1.0)
     shift[0], size[0] = 0.0, 1.0
     middle, spread = float(y[scored].mean()), float(y[scored].std()) or 1.0
+    original = None
+    if root:
+        floor = float(y[scored].min()) - ROOT_ROOM * spread
+        original = Root(floor, middle, spread)
+        y = np.sign(y - floor) * np.sqrt(np.abs(y - floor))
+        middle, spread = float(y[scored].mean()), float(y[scored].std()) or 1.0
     centring = Centring(shift, size, np.array([middle]))
     stretches, before = [], np.cumsum([0, *map(len, data)]).tolist()
     for n, record in enumerate(data):
@@ -150,4 +187,5 @@ def make_signals(
         span,
         tuple(stretches),
         apart,
+        original,
     )

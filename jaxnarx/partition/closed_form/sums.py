@@ -1,9 +1,10 @@
-"""Sums of candidates: where what they answer on groups left out says that they gain."""
+"""Sums of candidates of several kinds: where errors on groups left out say they gain.
+
+Candidates of one kind err alike, and their sums gain next to nothing.
+"""
 
 import dataclasses
-from collections import Counter
 from collections.abc import Sequence
-from fractions import Fraction
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,8 +14,8 @@ from jaxnarx.models import Network, total
 Errors = tuple[Int[np.ndarray, " _"], Float[np.ndarray, " _"]]
 """Places among all samples, and errors there [standard deviations]."""
 
-LEAST_GAIN_ERRORS = 1.0
-"""Standard errors by which a sum must be better than the best of its parts alone."""
+LEAST_GAIN_SHARE = 0.03
+"""Share of the error of its best part that a sum must gain."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -25,13 +26,13 @@ class Summand:
     network: Network
     left: Sequence[Errors]
     """Errors of the free run over every group, by the model made without it."""
-    ahead: Errors
-    """One step ahead, of the model of all groups."""
+    ahead: Errors | None = None
+    """One step ahead, of the model of all groups, where known."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sum:
-    """The mean of some candidates, of which one may count several times.
+    """The mean of some candidates.
 
     L. Breiman, "Bagging predictors", 1996, says why a mean gains where its parts err
     in different ways; R. Caruana et al., "Ensemble selection from libraries of models",
@@ -44,10 +45,8 @@ class Sum:
 
     @property
     def name(self) -> str:
-        """Its parts and their shares."""
-        counts = Counter(part.name for part in self.parts)
-        size = len(self.parts)
-        return " + ".join(f"{Fraction(n, size)} ({name})" for name, n in counts.items())
+        """Its parts."""
+        return "mean of " + "; ".join(part.name for part in self.parts)
 
     def losses(self) -> Float[np.ndarray, " groups"]:
         """Mean squared error of every group; NaN where no sample of it counts."""
@@ -58,61 +57,52 @@ class Sum:
         """NRMSE over the groups left out."""
         return root_mean_square(np.concatenate(self.left))
 
-    def one_step(self) -> float:
-        """One-step NRMSE of the model of all groups."""
-        (ahead,) = zip(
-            *align_errors([[part.ahead] for part in self.parts]), strict=True
-        )
+    def one_step(self) -> float | None:
+        """One-step NRMSE of the model of all groups, where all parts tell theirs."""
+        known = [[part.ahead] for part in self.parts if part.ahead is not None]
+        if len(known) < len(self.parts):
+            return None
+        (ahead,) = zip(*align_errors(known), strict=True)
         return root_mean_square(np.mean(ahead, axis=0))
 
     def network(self) -> Network:
         """The sum as one network."""
-        counts = Counter(map(id, self.parts))
-        own = {id(part): part.network for part in self.parts}
-        return total([own[n] for n in counts], [float(n) for n in counts.values()])
+        return total([part.network for part in self.parts], [1.0] * len(self.parts))
 
 
 def best_sum(parts: Sequence[Summand], most: int) -> Sum | None:
     """The mean of up to so many candidates that has the smallest error on groups left
-    out; None where none gains more than a standard error on the best alone.
+    out; None where none gains enough on the best alone.
 
-    The standard error is that of the difference, group by group.
+    Parts join one after the other, each the one that helps most.
     """
-    if not parts:
+    if len(parts) < 2:
         return None
     errors = align_errors([part.left for part in parts])
-    alone = [_losses(own) for own in errors]
-    taken = [int(np.argmin([loss.sum() for loss in alone]))]
-    first, best = alone[taken[0]], None
-    so_far, least = errors[taken[0]], np.inf
-    for size in range(2, most + 1):
-        means = [
-            [(a * (size - 1) + b) / size for a, b in zip(so_far, own, strict=True)]
-            for own in errors
-        ]
-        losses = [_losses(mean) for mean in means]
-        one = int(np.argmin([loss.sum() for loss in losses]))
+    alone = [_loss(own) for own in errors]
+    taken = [int(np.argmin(alone))]
+    least, best = (1 - LEAST_GAIN_SHARE) ** 2 * min(alone), None
+    so_far = errors[taken[0]]
+    while len(taken) < min(most, len(parts)):
+        size = len(taken) + 1
+        left = [n for n in range(len(parts)) if n not in taken]
+        means = {
+            n: [(a * (size - 1) + b) / size for a, b in zip(so_far, own, strict=True)]
+            for n, own in enumerate(errors)
+            if n in left
+        }
+        one = min(left, key=lambda n: _loss(means[n]))
         taken.append(one)
         so_far = means[one]
-        counts = np.array([len(e) for e in so_far])
-        if losses[one].sum() < least and _gains(first, losses[one], counts):
-            least = losses[one].sum()
+        if _loss(so_far) < least:
+            least = _loss(so_far)
             best = Sum(tuple(parts[n] for n in taken), tuple(so_far))
     return best
 
 
-def _losses(errors: Sequence[Float[np.ndarray, " _"]]) -> Float[np.ndarray, " groups"]:
-    return np.array([float(np.sum(e**2)) for e in errors])
-
-
-def _gains(first: np.ndarray, second: np.ndarray, counts: np.ndarray) -> bool:
-    """Whether the mean squared error falls by more than its standard error."""
-    there = counts > 0
-    gain = (first - second)[there] / counts[there]
-    if len(gain) < 2:
-        return False
-    mean = (first - second).sum() / counts.sum()
-    return bool(mean > LEAST_GAIN_ERRORS * np.std(gain, ddof=1) / np.sqrt(len(gain)))
+def _loss(errors: Sequence[Float[np.ndarray, " _"]]) -> float:
+    """Sum of squared errors of all groups."""
+    return float(sum(np.sum(np.square(e, dtype=float)) for e in errors))
 
 
 def align_errors(

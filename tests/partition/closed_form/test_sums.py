@@ -1,5 +1,6 @@
 """Sums of candidates are made where groups left out gain, and only there."""
 
+import dataclasses
 import itertools
 
 import common
@@ -27,10 +28,12 @@ def plain_best(parts: list[Summand], most: int) -> tuple[float, tuple[str, ...]]
     errors = [np.concatenate([e for _, e in p.left]) for p in parts]
     taken = [int(np.argmin([np.sum(e**2) for e in errors]))]
     while len(taken) < most:
-        tried = [
-            np.mean([errors[n] for n in (*taken, m)], 0) for m in range(len(parts))
-        ]
-        taken.append(int(np.argmin([np.sum(e**2) for e in tried])))
+        tried = {
+            m: np.mean([errors[n] for n in (*taken, m)], 0)
+            for m in range(len(parts))
+            if m not in taken
+        }
+        taken.append(min(tried, key=lambda m: np.sum(tried[m] ** 2)))
     mean = np.mean([errors[n] for n in taken], axis=0)
     return float(np.sqrt(np.mean(mean**2))), tuple(parts[n].name for n in taken)
 
@@ -47,14 +50,20 @@ def test_parts_that_err_in_different_ways_are_added_one_after_the_other():
     np.testing.assert_allclose(found.losses().mean(), error**2, rtol=1e-12)
 
 
-def test_the_name_tells_the_shares():
-    """The second part is opposite to the first, three times as large: 3/4 and 1/4 are
-    nothing together."""
+def test_the_name_tells_the_parts():
+    """The second part is opposite to the first: they are nothing together."""
     first = noise(0, 1.0)
-    parts = [part("a", first), part("b", [-3.0 * e for e in first])]
+    parts = [part("a", first), part("b", [-e for e in first])]
     found = best_sum(parts, 4)
-    assert found is not None and found.name == "3/4 (a) + 1/4 (b)"
-    assert found.free_run < 1e-12
+    assert found is not None and found.name == "mean of a; b"
+    assert found.free_run < 1e-12 and found.one_step() == pytest.approx(0, abs=1e-12)
+
+
+def test_one_step_is_told_where_all_parts_tell_theirs():
+    first = noise(0, 1.0)
+    parts = [part("a", first), part("b", [-e for e in first])]
+    found = best_sum([parts[0], dataclasses.replace(parts[1], ahead=None)], 2)
+    assert found is not None and found.one_step() is None
 
 
 @pytest.mark.parametrize("most", [0, 1])
@@ -62,16 +71,15 @@ def test_of_one_there_is_no_sum(most):
     assert best_sum([part("a", noise(0, 1.0)), part("b", noise(1, 1.0))], most) is None
 
 
-def test_what_gains_less_than_a_standard_error_is_no_sum():
-    # In one group of four the second is far better, in the others a little worse: the
-    # mean falls, and its standard error over groups is larger than that.
-    first = noise(0, 1.0)
-    second = [0.0 * first[0], *(1.2 * e for e in first[1:])]
-    parts = [part("a", first), part("b", second)]
-    gains = [1.0 - 0.25, *(3 * [1.0 - 1.1**2])]
-    assert np.mean(gains) > 0 and np.mean(gains) < np.std(gains, ddof=1) / 2
-    assert best_sum(parts, 2) is None
-    assert best_sum([parts[0], parts[0]], 4) is None
+@pytest.mark.parametrize(("size", "gains"), [(1.6, True), (1.8, False)])
+def test_what_gains_less_than_three_percent_is_no_sum(size, gains):
+    """Independent errors of sizes 1 and s: the mean has sqrt(1 + s^2)/2."""
+    parts = [part("a", noise(0, 1.0)), part("b", noise(1, size))]
+    expected = np.sqrt(1 + size**2) / 2
+    assert (expected < 0.97) == gains
+    found = best_sum(parts, 2)
+    assert (found is not None) == gains
+    assert best_sum(parts[:1], 4) is None
     assert best_sum([], 4) is None
 
 
@@ -90,4 +98,5 @@ def test_only_places_that_all_have_are_compared():
     gone = part(
         "c", [two[0], *(np.zeros(0) for _ in AT[1:])], [AT[0]] + 3 * [AT[1][:0]]
     )
-    assert best_sum([part("a", one), gone], 2) is None  # one group says nothing
+    found = best_sum([part("a", one), gone], 2)  # of one group, then
+    assert found is not None and np.isnan(found.losses()[1:]).all()
