@@ -21,7 +21,9 @@ candidate's on groups left out, beyond which it is not trained."""
 HOPELESS_FACTORS = 2.0, 1.5
 """Error on the first group, and on the first two or more, as a multiple of the best
 candidate's there, beyond which the other groups are not tried."""
-
+TRAINING_FACTOR = 1.25
+"""Error in training, as a multiple of the best candidate's on groups left out, beyond
+which no group is left out: up to there the mean of both may gain."""
 WEAK_PULL = 0.001
 """Pull that does not hold on to anything."""
 
@@ -74,7 +76,8 @@ def cross_validate(
     the number of every fold, from 1, before it is trained.
 
     With hidden states everything trains first, from several starts, and nothing is left
-    out where the error in training is beyond the best candidate's on what was left out.
+    out where the error in training is far beyond the best candidate's on what was left
+    out.
     Without a group that of the strongest pull is then trained from where it stands, and
     again from there, the others one from the other: what a pull holds on to has been
     trained without the group. Candidates in closed form keep their partition and
@@ -272,7 +275,7 @@ def _hopeless(
     if all(bad for *_, bad in scores):
         return "diverges in training"
     error = min(loss for loss, *_ in scores)
-    if best is not None and error > np.nanmean(best):
+    if best is not None and error > TRAINING_FACTOR**2 * np.nanmean(best):
         return f"an error in training of {error**0.5:.3g}"
     return ""
 

@@ -43,6 +43,9 @@ def identify(
     linear ARX and output-error models, filters, polynomials, regions with shared
     feedback in closed form (`jaxnarx.partition`), polynomials of past outputs and
     LOLIMOT, and models with hidden states (both trained on stretches of long records).
+    Of an output far from symmetric a root is modelled in closed form too. The last
+    candidate is the mean of up to three others, each the best of its kind, where that
+    gains more than 3 %.
     Each is scored by its free run in leave-group-out cross-validation (models with
     hidden states are trained on from the fit to all records rather than refitted). A
     candidate that diverges on any group is rejected. The result is the cheapest to
@@ -59,9 +62,9 @@ def identify(
         method: The settings of all steps. Without it the search decides; the arguments
             that follow, up to `groups` and also `folder`, are the search's own.
         preset: `"quick"` (about a minute), `"good"`, `"best"` (an hour and more; the
-            smallest error whatever it costs, also of sums of up to four candidates in
-            closed form), `"ecu"` (the fewest operations within 5 % of the best, stable
-            for certain) or `"linear"`; see `jaxnarx.settings.PRESETS`.
+            smallest error whatever it costs), `"ecu"` (the fewest operations within 5 %
+            of the best, stable for certain) or `"linear"`; see
+            `jaxnarx.settings.PRESETS`.
         budget: Time for the search [s], shared by the outputs, after which no further
             candidate is begun; the result then depends on the machine. Default: none,
             the preset's counts bound the search.

@@ -49,7 +49,7 @@ def judged(monkeypatch, few) -> dict:
         spread = 1.5  # pyright: ignore
 
         def __init__(self, *_, root=False):
-            pass
+            said.setdefault("roots", []).append(root)
 
         def candidates(self, **limits):  # pyright: ignore
             said["limits"] = limits
@@ -217,6 +217,18 @@ def test_what_leaves_its_bounds_is_vetoed_with_its_model(
     assert mean is not None
     run = jnx.simulate(mean, data).value
     assert all(np.all(np.isfinite(y)) for y in run.outputs)
+
+
+@pytest.mark.parametrize("roots", [0, 2])
+def test_the_root_of_a_skewed_output_is_modelled_too(data, seen, judged, roots):
+    skewed = dataclasses.replace(seen, skewness=-3.5)
+    preset = dataclasses.replace(TINY, fed_back=0, roots=roots)
+    tried(data, skewed, preset)
+    assert judged["roots"] == ([False, True] if roots else [False])
+    assert judged["limits"]["grown_roots"] == (roots or TINY.grown)
+    judged["roots"].clear()
+    tried(data, seen, preset)
+    assert judged["roots"] == [False]
 
 
 def test_the_mean_of_the_best_of_every_kind_is_a_candidate(

@@ -50,7 +50,7 @@ ROUND_ERROR_SHARE = 0.995
 """Share of the error that must be left at most for another round."""
 NEARLY_BEST_FACTOR = 1.1
 """Error of a partition, over that of the best, with which its gates are moved too."""
-OF_ROOT = " of the root"
+OF_ROOT = ", root"
 """Behind the family of candidates that model a root of the output."""
 GROWN_ROOTS = 2
 """How many of the polynomials are grown."""
