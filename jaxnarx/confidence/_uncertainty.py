@@ -155,6 +155,7 @@ def uncertainty(
     _require_one_of(start, ("measured", "exact"), "start")
     ridge = not_negative(ridge, "ridge")
     network.require_measured("The uncertainty of parameters")
+    network.require_no_roots("The uncertainty of parameters")
     task, _ = make_task(network, check_records(network, data))
     layout = make_layout(network, trainable, (0.5, 2.0))
     labels = label(network, layout)

@@ -67,6 +67,7 @@ def local_behaviour(
     feed into a local model count as inputs.
     """
     network.require_measured("The behaviour of local models")
+    network.require_no_roots("The behaviour of local models")
     o = _position(network, output)
     model = network.models[o]
     data = match_records(network, data)

@@ -300,6 +300,11 @@ def _diagnostics(
             "Residuals of one step were not tested: hidden states are estimated from "
             "the very measurements they would be compared with."
         ]
+    if network.roots:
+        return None, [
+            f"Residuals of one step were not tested: of {', '.join(network.roots)} a "
+            "root is computed, which the tests do not know."
+        ]
     found = diagnose(network, data, selection=selection)
     more = [] if found.status_name == "ok" else [found.detail + "."]
     return found.value, [*found.value.summary, *more]

@@ -274,15 +274,17 @@ class _Lowering:
 
     # feedback ----------------------------------------------------------------------
 
-    def _measured_line(self, o: int, name: str) -> _Line:
-        """A delay line `y_` of a name that the measured output o begins."""
+    def _measured_line(self, o: int, name: str, group: int | None = None) -> _Line:
+        """A delay line `y_` of a name that the measured output o begins; of a group
+        that computes a root, the root: that of a rounded output has larger errors."""
         b, scale = self.b, self.b.const(1 / self.gain[self.network.signals[o]])
         line = f"y_{name}"
         start = b.mul(self.entrance.measured_output(o), scale)
-        before = b.op("delay", source=(line, 1))
-        measured = self.entrance.measured_output(
-            o, b.mul(b.op("measured", source=o), scale), before
-        )
+        before, now = b.op("delay", source=(line, 1)), b.op("measured", source=o)
+        now = b.mul(now, scale)
+        if group is not None and self._squares(o, group):
+            start, now = (self._to_root(o, group, y) for y in (start, now))
+        measured = self.entrance.measured_output(o, now, before)
         return _Line(None, start, measured)
 
     def _delay_output(self, o: int, lag: int, group: int | None = None) -> Value:
@@ -291,17 +293,17 @@ class _Lowering:
         line.length = max(line.length, lag)
         return self.b.op("delay", source=(name, lag))
 
-    def _own_lag(self, o: int, lag: int, group: int) -> Value:
-        """What a group has computed so many samples ago."""
-        value = self._delay_output(o, lag, group)
-        return self._to_root(o, group, value) if self._squares(o, group) else value
-
-    def _bound_output(self, o: int, value: Value) -> tuple[Value, Value]:
-        b = self.b
+    def _bound_output(
+        self, o: int, value: Value, group: int | None = None
+    ) -> tuple[Value, Value]:
+        """A value within the bounds of an output, or of what a group computes, and
+        whether they act."""
+        b, network = self.b, self.network
         low, high = (
-            b.const(float(np.asarray(a)[o]))
-            for a in (self.network.lower, self.network.upper)
+            b.const(float(np.asarray(a)[o])) for a in (network.lower, network.upper)
         )
+        if group is not None and self._squares(o, group):
+            low, high = (self._to_root(o, group, end) for end in (low, high))
         inside = b.op("min", b.op("less", low, value), b.op("less", value, high))
         return b.clip(value, low, high), b.no(inside)
 
@@ -339,7 +341,7 @@ class _Lowering:
             group_of = dict(zip(members.tolist(), groups.tolist(), strict=True))
             for g in range(len(own)):
                 group = f"{name}_group{g + 1}"
-                self.lines[f"y_{group}"] = self._measured_line(o, group)
+                self.lines[f"y_{group}"] = self._measured_line(o, group, g)
         local = []
         with b.purpose(TERMS):
             for m in range(len(active)):
@@ -349,19 +351,24 @@ class _Lowering:
                     if dense[m, k] != 0
                 ]
                 local.append(b.add(*parts))
-        added = list(zip(phi, local, strict=True))
+        squared: list[tuple[Value, Value]] = []
+        inside: set[int] = set()
         if own is not None:
             for g, row in enumerate(own):
                 members = np.flatnonzero(row).tolist()
                 value = self._group(members, phi, local)
-                if self._squares(o, g):
-                    value = self._to_output(o, g, value)
-                    added = [p for m, p in enumerate(added) if m not in members]
-                    added.append((b.add(*(phi[m] for m in members)), value))
-                bounded, _ = self._bound_output(o, value)
+                bounded, _ = self._bound_output(o, value, g)
                 self.lines[f"y_{name}_group{g + 1}"].source = bounded
+                if self._squares(o, g):
+                    inside |= set(members)
+                    share = b.add(*(phi[m] for m in members))
+                    value = self._to_output(o, g, value)
+                    squared.append((share, value))
         with b.purpose(BLEND):
-            blend = b.add(*(b.mul(weight, value) for weight, value in added))
+            plain = [
+                p for m, p in enumerate(zip(phi, local, strict=True)) if m not in inside
+            ]
+            blend = b.add(*(b.mul(*pair) for pair in (*plain, *squared)))
             return blend if total is None else b.op("div", blend, total)
 
     def _squares(self, o: int, group: int) -> bool:
@@ -414,7 +421,7 @@ class _Lowering:
         b, entries = self.b, self.network.variables.entries
         chosen = [entries[n - 1] for n in row.tolist() if n > 0]
         values = [
-            self._own_lag(o, lag, group)
+            self._delay_output(o, lag, group)
             if group is not None and signal == self.network.signals[o]
             else self._variable(signal, lag, filter_)
             for signal, lag, filter_ in chosen

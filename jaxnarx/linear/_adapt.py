@@ -66,6 +66,7 @@ def adapt(
     were, `unidentifiable` where not one sample was used. No usable sample: `DataError`.
     """
     network.require_measured("Adaptation")
+    network.require_no_roots("Adaptation")
     method = Recursive() if method is None else method
     plan = make_plan(network, method)
     matched = match_records(network, data)

@@ -357,8 +357,7 @@ class Network(eqx.Module):
         return variable_names(self.channels, self.variables)
 
     def require_measured(self, what: str) -> None:
-        """SpecError where something is asked for that hidden channels have not, and
-        outputs of which a root is computed."""
+        """SpecError where something is asked for that hidden channels have not."""
         if self.hidden:
             raise SpecError(
                 f"{what} knows no hidden channels, and the model has "
@@ -366,15 +365,20 @@ class Network(eqx.Module):
                 "them. Take a model without.",
                 field="network",
             )
-        roots = [
-            name
-            for name, model in zip(self.computed_names, self.models, strict=True)
-            if model.root is not None
-        ]
-        if roots:
+
+    @property
+    def roots(self) -> list[str]:
+        """Names of what is computed by its root."""
+        pairs = zip(self.computed_names, self.models, strict=True)
+        return [name for name, model in pairs if model.root is not None]
+
+    def require_no_roots(self, what: str) -> None:
+        """SpecError where something is asked for that takes local models for parts of
+        the output itself."""
+        if self.roots:
             raise SpecError(
                 f"{what} knows no outputs of which a root is computed, and the model "
-                f"has {', '.join(roots)}. Take a model without.",
+                f"has {', '.join(self.roots)}. Take a model without.",
                 field="network",
             )
 

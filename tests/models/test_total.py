@@ -12,9 +12,10 @@ from kinds import sum_part
 from test_own_feedback import same
 
 import jaxnarx as jnx
+from jaxnarx.confidence import uncertainty
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation import cost
+from jaxnarx.evaluation import cost, local_behaviour
 from jaxnarx.linear import set_state_ranges, state_network
 from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.linear.state_space.model import StateSpace
@@ -167,6 +168,15 @@ def test_parts_of_several_kinds_are_added(kinds, data):
     (first, _) = data
     y = found(first.u, first.y[: found.before])
     np.testing.assert_allclose(y, run.outputs[0], rtol=1e-9, atol=1e-9)
+
+
+def test_analyses_that_know_no_roots_say_so_and_a_report_goes_on(data, kinds):
+    _, rooted, _ = kinds
+    verbs = [jnx.diagnose, local_behaviour, jnx.linear.adapt, uncertainty]
+    for verb in verbs:
+        with pytest.raises(SpecError, match="root"):
+            verb(rooted, data)
+    assert "a root is computed" in str(jnx.report(rooted, data))
 
 
 def test_a_sum_of_kinds_is_saved_exported_and_has_a_slope(kinds, data, tmp_path):

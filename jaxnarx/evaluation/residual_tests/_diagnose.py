@@ -86,6 +86,7 @@ def diagnose(
     """
     _check(network, lags, level, estimated)
     network.require_measured("The analysis of residuals")
+    network.require_no_roots("The analysis of residuals")
     matched, batch = stack_batch(network, data)
     run = predict(network, data).value if predicted is None else predicted
     run = run.value if isinstance(run, Solution) else run
