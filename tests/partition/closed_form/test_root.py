@@ -48,6 +48,7 @@ def test_errors_are_those_of_the_output(data, rooted):
     """Of the free run of the network, held to the trained range."""
     one = best(rooted)
     signals = one.stage.design.signals
+    assert signals.root is not None
     run = jnx.simulate(hold_to_range(one.network()), data).value
     for n, (record, stretch) in enumerate(zip(data, signals.stretches, strict=True)):
         first = len(record) - len(stretch.y)
