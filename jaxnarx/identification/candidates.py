@@ -113,7 +113,7 @@ class CandidateSearch:
     def __iter__(self) -> Iterator[Tried]:
         """One after the other; at least one, whatever the time. Sums come last."""
         yield from self._closed_forms()
-        skewed = abs(self.profile.skewness) >= LEAST_SKEWNESS
+        skewed = self.profile.skewness >= LEAST_SKEWNESS
         if skewed and self.preset.roots and not self.late():
             yield from self._closed_forms(root=True)
         if not self.late():

@@ -26,23 +26,23 @@ class SignedRoot(eqx.Module):
     def to_output(
         self, r: Float[Array, "groups *rows"]
     ) -> Float[Array, "groups *rows"]:
-        """Outputs of the groups from what they compute."""
-        floor = _along(self.floor, r)
-        return jnp.where(_along(self.squares, r), floor + r * jnp.abs(r), r)
+        """Give the outputs of the groups for what they compute."""
+        floor = _align(self.floor, r)
+        return jnp.where(_align(self.squares, r), floor + r * jnp.abs(r), r)
 
     def to_root(self, y: Float[Array, "groups *rows"]) -> Float[Array, "groups *rows"]:
-        """What the groups compute, from their outputs."""
-        far = y - _along(self.floor, y)
+        """Invert `to_output`."""
+        far = y - _align(self.floor, y)
         steep = jnp.abs(far) > LEAST_DISTANCE
         root = jnp.sign(far) * jnp.sqrt(jnp.where(steep, jnp.abs(far), 1.0))
         root = jnp.where(steep, root, far / LEAST_DISTANCE**0.5)
-        return jnp.where(_along(self.squares, y), root, y)
+        return jnp.where(_align(self.squares, y), root, y)
 
     def slope(self, r: Float[Array, "groups *rows"]) -> Float[Array, "groups *rows"]:
         """Derivative of the outputs by what the groups compute."""
-        return jnp.where(_along(self.squares, r), 2.0 * jnp.abs(r), jnp.ones_like(r))
+        return jnp.where(_align(self.squares, r), 2.0 * jnp.abs(r), jnp.ones_like(r))
 
 
-def _along(values: Array, r: Array) -> Array:
-    """One value for every group, beside samples."""
+def _align(values: Array, r: Array) -> Array:
+    """Shape one value for every group as samples are."""
     return values.reshape(values.shape + (1,) * (r.ndim - 1))

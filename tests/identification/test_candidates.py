@@ -221,14 +221,16 @@ def test_what_leaves_its_bounds_is_vetoed_with_its_model(
 
 @pytest.mark.parametrize("roots", [0, 2])
 def test_the_root_of_a_skewed_output_is_modelled_too(data, seen, judged, roots):
-    skewed = dataclasses.replace(seen, skewness=-3.5)
+    skewed = dataclasses.replace(seen, skewness=3.5)
     preset = dataclasses.replace(TINY, fed_back=0, roots=roots)
     tried(data, skewed, preset)
     assert judged["roots"] == ([False, True] if roots else [False])
     assert judged["limits"]["grown_roots"] == (roots or TINY.grown)
-    judged["roots"].clear()
-    tried(data, seen, preset)
-    assert judged["roots"] == [False]
+    # Peaks below weigh more, not less, in a root above the least value.
+    for other in (seen, dataclasses.replace(seen, skewness=-3.5)):
+        judged["roots"].clear()
+        tried(data, other, preset)
+        assert judged["roots"] == [False]
 
 
 def test_the_mean_of_the_best_of_every_kind_is_a_candidate(

@@ -55,7 +55,7 @@ class Stretch:
 
 
 @dataclasses.dataclass(frozen=True)
-class Root:
+class OutputRoot:
     """The signed root of an output above a floor is modelled in its place.
 
     y = floor + r |r|: what is far above all else weighs less in least squares of r.
@@ -87,7 +87,7 @@ class RunSignals:
     apart: Bool[np.ndarray, "groups parts"]
     """Parts that are held out with a group: the group itself, and the gaps beside
     it."""
-    root: Root | None = None
+    root: OutputRoot | None = None
     """Where a root of the output is modelled, whose are y, `middle` and `spread`."""
 
     def to_output(self, run: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows"]:
@@ -149,7 +149,7 @@ def make_signals(
     original = None
     if root:
         floor = float(y[scored].min()) - ROOT_ROOM * spread
-        original = Root(floor, middle, spread)
+        original = OutputRoot(floor, middle, spread)
         y = np.sign(y - floor) * np.sqrt(np.abs(y - floor))
         middle, spread = float(y[scored].mean()), float(y[scored].std()) or 1.0
     centring = Centring(shift, size, np.array([middle]))

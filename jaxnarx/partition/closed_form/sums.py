@@ -87,9 +87,11 @@ def best_sum(parts: Sequence[Summand], most: int) -> Sum | None:
         size = len(taken) + 1
         left = [n for n in range(len(parts)) if n not in taken]
         means = {
-            n: [(a * (size - 1) + b) / size for a, b in zip(so_far, own, strict=True)]
-            for n, own in enumerate(errors)
-            if n in left
+            n: [
+                (a * (size - 1) + b) / size
+                for a, b in zip(so_far, errors[n], strict=True)
+            ]
+            for n in left
         }
         one = min(left, key=lambda n: _loss(means[n]))
         taken.append(one)
