@@ -118,6 +118,19 @@ class Groups:
         sides = (dataclasses.replace(data, records=tuple(s)) for s in (train, left))
         return Fold(self.names[g], *sides)
 
+    def without(self, data: Dataset, g: int) -> tuple[Dataset, "Groups"]:
+        """The training records of fold `g`, and the other groups in them.
+
+        So nested cross-validation makes all choices again without the group. A block
+        that is left out is in no group, as the gaps beside it.
+        """
+        train = self.fold(data, g).train
+        kept = [n for n, record in enumerate(data) if record.name in train.names]
+        labels = (self.labels[n] for n in kept)
+        names = (*self.names[:g], *self.names[g + 1 :])
+        left = (np.where(v == g, -1, v - (v > g)) for v in labels)
+        return train, Groups(names, tuple(left), self.whole)
+
     def exclude_group(self, data: Dataset, g: int | None = None) -> Dataset:
         """Training records without group `g`, of runs that end where it begins.
 

@@ -395,12 +395,17 @@ def _rows_in_use(report: Scored) -> Iterator[tuple[str, Mapping[str, Any]]]:
                 yield output, row
 
 
+def _promised(row: Mapping[str, Any]) -> float | None:
+    """The error on records left out: by nested cross-validation, where it is known."""
+    return row.get("promised", row["free_run"])
+
+
 def _held_out_error(report: Scored) -> str:
     """The error on records left out, where there are no test data."""
     told = [
-        f"{output} {row['free_run']:.3g}"
+        f"{output} {_promised(row):.3g}"
         for output, row in _rows_in_use(report)
-        if row["free_run"] is not None
+        if _promised(row) is not None
     ]
     return f"; NRMSE on records left out: {', '.join(told)}" if told else ""
 
@@ -409,7 +414,7 @@ def _held_out_rules(report: Scored, rows: list[Row]) -> Iterator[VerdictRule]:
     """The free run over records that the search left out."""
     tested = {r.output: r.nrmse for r in _pooled_rows(rows) if r.part == "test"}
     for output, row in _rows_in_use(report):
-        error, worst = row["free_run"], row["worst_group_error"]
+        error, worst = _promised(row), row["worst_group_error"]
         place = output, "held out"
         where = f"the free run of {output} on records left out of training"
         lost = 0 if error is not None else max(row["diverged"], 1)

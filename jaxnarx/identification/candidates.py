@@ -13,9 +13,14 @@ from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.evaluation import cost
 from jaxnarx.extensions import Registry
-from jaxnarx.identification.cross_validate import CrossValidation, cross_validate
-from jaxnarx.identification.leaderboard import Candidate
+from jaxnarx.identification.cross_validate import (
+    CrossValidation,
+    cross_validate,
+    fit_method,
+)
+from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.narx_candidates import propose_narx
+from jaxnarx.identification.nested import OuterFold, Remake, judge_nested
 from jaxnarx.identification.state_space_candidates import (
     SHORT_RECORDS,
     propose_gates,
@@ -26,6 +31,7 @@ from jaxnarx.partition import (
     ClosedForm,
     ClosedSearch,
     DataProfile,
+    Structure,
     Sum,
     Summand,
     best_sum,
@@ -47,6 +53,8 @@ MOST_ADDED = 20
 GATES_PATIENCE = 1
 """After so many structures with gates, none of which came near the best, they are given
 up."""
+MOST_CHOICES = 3
+"""Candidates that nested cross-validation may veto before none is judged so."""
 NEAR_BEST_FACTOR = 1.5
 """Error, as a multiple of the best candidate's, up to which a kind is promising."""
 
@@ -70,6 +78,8 @@ class Trying:
     name: str = ""
     fold: int = 0
     folds: int = 0
+    nested: bool = False
+    """Whether it is made again without the group, as it was chosen."""
 
 
 Watch = Callable[[Trying], None]
@@ -106,12 +116,50 @@ class CandidateSearch:
         self.parts: dict[str, Summand] = {}
         """The best of every kind, as a part of a sum."""
         self.best_of: dict[str, float] = {}
+        self.remakes: dict[str, Remake] = {}
+        """How every candidate is made again, by family and name."""
         self.judged_before: dict[str, Callable[[], Summand | None]] = {}
         """Kinds whose best was judged before this search went on: by what it is judged
         once more, for the errors at all samples are not kept."""
 
     def __iter__(self) -> Iterator[Tried]:
-        """One after the other; at least one, whatever the time. Sums come last."""
+        """One after the other; at least one, whatever the time. Sums come last, and
+        behind them the chosen candidate once more with its nested error, and without
+        its network."""
+        rows = dict(self.known)
+        for row, network in self._every_kind():
+            rows.setdefault((row.family, row.name), row)
+            yield row, network
+        for _ in range(MOST_CHOICES):
+            row = self._judge_choice(rows)
+            if row is None:
+                return
+            rows[row.family, row.name] = row
+            yield row, None
+            if row.eligible:
+                return
+
+    def _judge_choice(self, rows: Mapping[tuple[str, str], Candidate]):
+        """The chosen candidate with its nested error; None where that is known, where
+        it cannot be made again, or the time is up."""
+        board = Leaderboard(tuple(rows.values()), self.groups.names, self.preset.rule)
+        row = board.choose(self.profile.output)
+        if row is None or row.nested is not None or self.late():
+            return None
+        remake = self.remakes.get(_title(row.family, row.name))
+        if remake is None:
+            return None
+
+        def watch(fold: int) -> None:
+            folds = len(self.groups)
+            self.watch(Trying(row.family, row.name, fold, folds, nested=True))
+
+        own = (self.data, self.groups, self.profile)
+        judged = judge_nested(row, remake, *own, self.spread, watch)
+        return None if judged == row else judged
+
+    def _every_kind(self) -> Iterator[Tried]:
+        """All candidates, as they are tried."""
         yield from self._closed_forms()
         skewed = self.profile.skewness >= LEAST_SKEWNESS
         if skewed and self.preset.roots and not self.late():
@@ -141,6 +189,10 @@ class CandidateSearch:
                 row, network = self._score_closed_form(
                     found, time.perf_counter() - begin
                 )
+                again = functools.partial(
+                    self._repeat, found.family, found.structure, root
+                )
+                self.remakes[_title(row.family, row.name)] = again
                 if row.eligible and self._takes_lead(kind, row):
                     self.parts[kind] = found.part(network)
             yield row, network
@@ -149,6 +201,24 @@ class CandidateSearch:
             self.watch(Trying(kind, f"the next behind {found.family}"))
             begin = time.perf_counter()
         self.spread = search.spread
+
+    def _repeat(
+        self, family: str, structure: Structure, root: bool, fold: OuterFold
+    ) -> Network:
+        """A candidate in closed form, made of the records of a fold."""
+        search = ClosedSearch(fold.train, fold.profile, fold.groups, root=root)
+        found = search.repeat(family, structure, self.partitions)
+        return hold_to_range(found.network())
+
+    def _retrain(
+        self, method: Identification | HiddenStates, stage: int, fold: OuterFold
+    ) -> Network:
+        """A candidate that is trained step by step, trained from its start on the
+        records of a fold."""
+        rows, data = self._most_rows(method), fold.train
+        if isinstance(method, HiddenStates) and self.data.samples <= rows:
+            data = fold.apart
+        return fit_method(method, data, rows, known=fold.train)[stage]
 
     def _trained_kinds(self) -> Iterator[Tried]:
         """Candidates that are trained step by step."""
@@ -190,6 +260,10 @@ class CandidateSearch:
         parts = [part for part in self.parts.values() if _fits(part, self.parts)]
         found = best_sum(parts, self.preset.sums)
         if found is not None:
+            remakes = [self.remakes[part.name] for part in found.parts]
+            self.remakes[_title("sum", found.name)] = lambda fold: total(
+                [remake(fold) for remake in remakes], [1.0] * len(remakes)
+            )
             yield self._sum(found, time.perf_counter() - begin)
 
     def _divide_by_partitions(
@@ -255,6 +329,9 @@ class CandidateSearch:
             if n >= patience and not promising:
                 return
             self.passed += 1
+            for stage, name in enumerate(names):
+                again = functools.partial(self._retrain, method, stage)
+                self.remakes[_title(family, name)] = again
             rows = [self.known.get((family, name)) for name in names]
             first = rows[0]
             if all(rows) or (first is not None and first.status == "failed"):
@@ -370,8 +447,13 @@ class CandidateSearch:
         )
 
 
+def _title(family: str, name: str) -> str:
+    """A candidate as its sums name it."""
+    return f"{family}, {name}"
+
+
 def _part(row: Candidate, found: CrossValidation, network: Network) -> Summand:
-    return Summand(f"{row.family}, {row.name}", network, found.left)
+    return Summand(_title(row.family, row.name), network, found.left)
 
 
 def _fits(part: Summand, parts: Mapping[str, Summand]) -> bool:

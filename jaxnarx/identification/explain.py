@@ -123,7 +123,8 @@ def _row_table(
     return {"rank": place + 1, "used": is_used, "linear": is_linear(row)} | (
         row.to_dict()
         | {
-            "groups": dict(zip(board.group_names, row.groups, strict=False)),
+            "groups": dict(zip(board.group_names, row.promised_groups, strict=False)),
+            "promised": row.promised,
             "worst_group": name,
             "worst_group_error": error,
             "above_best": above[0],
@@ -139,7 +140,7 @@ def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
             f"{named}. Every candidate is vetoed: none stays bounded in free run on "
             "all records left out. This is the safest of them."
         )
-    told = f"{named}, free run {figure(row)} on records left out"
+    told = f"{named}, free run {figure(row)} on records left out{_nested(row)}"
     if row != chosen:
         return f"{told}: chosen by hand in place of {title(chosen)}, {figure(chosen)}."
     if board.rule == "near" and board.dominant_group(output):
@@ -149,6 +150,13 @@ def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
     return (
         f"{told}: {RULE_WORDS.get(board.rule, f'chosen by the rule {board.rule!r}')}."
     )
+
+
+def _nested(row: Candidate) -> str:
+    """What is promised where even the choices were made without the group."""
+    if row.nested is None:
+        return ""
+    return f" (nested {ratio_text(row.nested)}: made again without every group)"
 
 
 def _best(board: Leaderboard, row: Candidate) -> list[str]:
@@ -221,8 +229,8 @@ def _explain_vetoes(board: Leaderboard, output: str) -> list[str]:
 
 def _groups(board: Leaderboard, row: Candidate) -> list[str]:
     worst = board.worst_group(row)
-    known = [e for e in row.groups if e is not None]
-    if worst is None or len(known) < 2 or not row.free_run:
+    known = [e for e in row.promised_groups if e is not None]
+    if worst is None or len(known) < 2 or not row.promised:
         return []
     name, error = worst
     if dominant := board.dominant_group(row.output):
@@ -232,10 +240,10 @@ def _groups(board: Leaderboard, row: Candidate) -> list[str]:
             "(unit, sensor, operating mode; jaxnarx check names those in another "
             "unit); if they are right, measure more like them."
         ]
-    if error < UNEVEN_FACTOR * row.free_run:
+    if error < UNEVEN_FACTOR * row.promised:
         return [f"No group stands out ({min(known):.3g} to {error:.3g})."]
     return [
-        f"Worst served is the group {name}: {error:.3g}, {error / row.free_run:.2g} "
+        f"Worst served is the group {name}: {error:.3g}, {error / row.promised:.2g} "
         "times the error of all. Look at its records first (jaxnarx check names those "
         "in another unit); if they are right, more like them would help most."
     ]

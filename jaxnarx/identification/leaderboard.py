@@ -51,6 +51,12 @@ class Candidate:
     """Standard error of `free_run`, over groups."""
     groups: tuple[float | None, ...] = ()
     """`free_run` of every group."""
+    nested: float | None = None
+    """The same error by nested cross-validation, where the candidate was chosen: made
+    again without every group in turn, with its structure alone kept
+    (`jaxnarx.identification.nested`)."""
+    nested_groups: tuple[float | None, ...] = ()
+    """`nested` of every group."""
     one_step: float | None = None
     """One-step error on the same records."""
     diverged: int = 0
@@ -76,6 +82,16 @@ class Candidate:
         return self.pole is None or self.pole < 1
 
     @property
+    def promised(self) -> float | None:
+        """What the candidate promises: the nested error where it is known."""
+        return self.free_run if self.nested is None else self.nested
+
+    @property
+    def promised_groups(self) -> tuple[float | None, ...]:
+        """... of every group."""
+        return self.groups if self.nested is None else self.nested_groups
+
+    @property
     def eligible(self) -> bool:
         """Whether it may be chosen."""
         return self.status == "ok" and self.free_run is not None
@@ -98,8 +114,8 @@ class Candidate:
         for name, value in table.items():
             require_fit("a candidate", name, value, fields[name].type)
             _require_figures(name, value)
-        own: dict[str, Any] = table | {"groups": tuple(table.get("groups", ()))}
-        return cls(**own)
+        lists = {n: tuple(table.get(n, ())) for n in ("groups", "nested_groups")}
+        return cls(**(table | lists))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,10 +190,11 @@ class Leaderboard:
         return _excess(row, best)
 
     def worst_group(self, row: Candidate) -> tuple[str, float] | None:
-        """Name and error of the group that a candidate serves worst."""
+        """Name and error of the group that a candidate serves worst, by what it
+        promises."""
         seen = [
             (error, name)
-            for error, name in zip(row.groups, self.group_names, strict=False)
+            for error, name in zip(row.promised_groups, self.group_names, strict=False)
             if error is not None
         ]
         if not seen:
@@ -222,8 +239,8 @@ class Leaderboard:
 
 
 ROW_COLUMNS = (
-    "output number family name free_run standard_error one_step diverged operations "
-    "parameters seconds status detail"
+    "output number family name free_run standard_error nested one_step diverged "
+    "operations parameters seconds status detail"
 ).split()
 """Columns of the table that are fields of a row."""
 BOARD_COLUMNS = (

@@ -166,9 +166,11 @@ class SearchRunner:
             for r in rows
             if (r.output, r.family, r.name) == (output, row.family, row.name)
         ]
-        if same:
+        same_status = same and (row.eligible or row.status == same[0].status)
+        if same_status and row.nested is None:
             return
-        row = dataclasses.replace(row, number=self._next_number(output))
+        number = same[0].number if same else self._next_number(output)
+        row = dataclasses.replace(row, number=number)
         self.store = self.store.add(row, network)
         board = self.store.leaderboard
         self.tell(
@@ -230,7 +232,7 @@ def _held_out_errors(
             return None
         seen = [r.valid[:, len(data.channels.inputs) + o] for r in data]
         y = [r.y[s, o] for r, s in zip(data, seen, strict=True)]
-        errors = [np.nan if error is None else error for error in row.groups]
+        errors = [np.nan if error is None else error for error in row.promised_groups]
         found.append(np.array(errors) * np.concatenate(y).std())
     return np.stack(found)
 

@@ -234,8 +234,14 @@ def _board(file: Path, told: Mapping[str, Any]) -> Leaderboard:
             row = Candidate.from_dict(_encodable(table))
             if row.number in rows:
                 raise SpecError(f"number {row.number} is taken by a row before")
-            if len(row.groups) != len(names) and (row.groups or row.eligible):
-                raise SpecError(f"groups has not one figure for each of {len(names)}")
+            for own, needed in (
+                (row.groups, row.eligible),
+                (row.nested_groups, row.nested is not None),
+            ):
+                if len(own) != len(names) and (own or needed):
+                    raise SpecError(
+                        f"groups has not one figure for each of {len(names)}"
+                    )
         except SpecError as error:
             raise DataFileError(
                 f"{file}: row {place}: {error}. The file is damaged; begin anew with "
@@ -261,8 +267,14 @@ def _finite(row: Candidate) -> Candidate:
             None if isinstance(value, float) and not value <= LARGEST_FIGURE else value
         )
 
-    plain = {k: finite_or_none(v) for k, v in vars(row).items() if k != "groups"}
-    return Candidate(**plain, groups=tuple(finite_or_none(e) for e in row.groups))
+    return Candidate(
+        **{
+            name: tuple(map(finite_or_none, value))
+            if isinstance(value, tuple)
+            else finite_or_none(value)
+            for name, value in vars(row).items()
+        }
+    )
 
 
 def _round_trip(key: Mapping[str, Any]) -> dict[str, Any]:

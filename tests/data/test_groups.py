@@ -287,3 +287,19 @@ def test_a_whole_fold_keeps_records_that_train_nothing_without_a_valid_sample(ro
             valid = own[record.name].valid if record.name in own else False
             assert np.all(record.valid == valid)
             assert len(record) == len(data.records[data.names.index(record.name)])
+
+
+@pytest.mark.parametrize("rows", [(40, 50, 60, 70), (100,)])
+def test_the_records_without_a_group_keep_the_other_groups(rows):
+    data = records(*rows)
+    found = groups(data, folds=4, gap=3)
+    for g in range(4):
+        train, left = found.without(data, g)
+        fold = found.fold(data, g)
+        assert train.names == fold.train.names
+        assert left.names == tuple(n for n in found.names if n != fold.name)
+        for record, label in zip(train, left.labels, strict=True):
+            before = found.labels[data.names.index(record.name)]
+            own = [n if n < g else n - 1 for n in before if n >= 0 and n != g]
+            assert label[label >= 0].tolist() == own
+            assert (label < 0).tolist() == ((before == g) | (before < 0)).tolist()

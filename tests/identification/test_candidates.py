@@ -63,6 +63,7 @@ def judged(monkeypatch, few) -> dict:
             raise result
         return [result]
 
+    monkeypatch.setattr(module, "judge_nested", lambda row, *_: row)
     monkeypatch.setattr(module, "ClosedSearch", Fake)
     monkeypatch.setattr(module, "cross_validate", judge)
     return said
@@ -292,3 +293,34 @@ def test_candidates_of_other_packages_are_judged_behind_the_closed_forms(
     found = [(row.family, row.name, row.status) for row, _ in every[3:5]]
     assert found == [("theirs", "first", "ok"), ("theirs", "second", "ok")]
     assert [(r.family, r.name) for r, _ in every[5:]] == names(data, seen)[:3]
+
+
+def test_the_chosen_one_comes_once_more_with_its_nested_error(
+    data, seen, few, judged, monkeypatch
+):
+    """One that is vetoed then makes room for the next."""
+    best = min(few, key=lambda one: one.free_run)
+    asked = []
+
+    def judge(row, remake, records, *_):
+        assert records is data and callable(remake)
+        asked.append(row.name)
+        if row.name == best.name:
+            return dataclasses.replace(row, status="diverged", free_run=None)
+        return dataclasses.replace(row, nested=0.5, nested_groups=(0.5,) * 4)
+
+    monkeypatch.setattr(module, "judge_nested", judge)
+    preset = dataclasses.replace(TINY, fed_back=0, rule="best")
+    _, every = tried(data, seen, preset)
+    assert len(every) == 5 and asked[0] == best.name and asked[1] != best.name
+    (lost, none), (row, also_none) = every[3:]
+    assert lost.status == "diverged" and none is also_none is None
+    assert (
+        row.promised == 0.5
+        and row.free_run == dict((one.name, one.free_run) for one in few)[row.name]
+    )
+    # What is known is not judged again, nor anything where the time is up.
+    asked.clear()
+    tried(data, seen, preset, known=[lost, row])
+    tried(data, seen, preset, late=lambda: True)
+    assert not asked

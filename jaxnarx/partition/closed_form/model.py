@@ -18,6 +18,27 @@ RUNAWAY_VALUE = 1e30
 """Stands for values that are not finite [standard deviations]."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Structure:
+    """How a candidate is made: by this it is made again of other records."""
+
+    order: int = 0
+    """Order of A(q)."""
+    step: int = 1
+    """Step of the lags."""
+    degree: int = 1
+    models: int = 1
+    """Regions."""
+    fine: bool = False
+    """Whether the ridge was searched before the feedback moved."""
+    feedback: bool = False
+    """Whether the feedback of one region has moved ..."""
+    gates: bool = False
+    """... and the gates with it behind the last halving."""
+    partition: str = ""
+    """Name of a partition of another package."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClosedForm:
     """A candidate: its structure, its errors, and the network of all records."""
@@ -26,6 +47,7 @@ class ClosedForm:
     name: str
     stage: GrownStage
     data: Dataset
+    structure: Structure
     given: Float[np.ndarray, " columns"] | None = None
     """Coefficients that are not those of least squares of the free run ..."""
     left_out: Sequence[Float[np.ndarray, " _"]] | None = None

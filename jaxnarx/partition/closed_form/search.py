@@ -5,14 +5,15 @@ normal equations of the simulation error give without another pass over the data
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
-from jaxnarx.models import count_models
+from jaxnarx.models import AbstractValidity, count_models
 from jaxnarx.partition.closed_form.denominator import denominator_from_times, is_stable
 from jaxnarx.partition.closed_form.design_matrix import Block, BlockDesign
 from jaxnarx.partition.closed_form.equation_error import equation_error
@@ -27,7 +28,7 @@ from jaxnarx.partition.closed_form.growth import (
     divide_by,
     grow_regions,
 )
-from jaxnarx.partition.closed_form.model import ClosedForm, tame
+from jaxnarx.partition.closed_form.model import ClosedForm, Structure, tame
 from jaxnarx.partition.closed_form.profile import DataProfile
 from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 from jaxnarx.partition.closed_form.terms import (
@@ -105,11 +106,13 @@ class ClosedSearch:
         """Lags and filters in this scale."""
         return Memory.of(step, self.profile.reach, self.profile.memory)
 
-    def make_candidate(self, family: str, name: str, stage: GrownStage) -> ClosedForm:
+    def make_candidate(
+        self, family: str, name: str, stage: GrownStage, structure: Structure
+    ) -> ClosedForm:
         """A candidate."""
         if self.modelled_root:
             family += OF_ROOT
-        return ClosedForm(family, name, stage, self.data)
+        return ClosedForm(family, name, stage, self.data, structure)
 
     def root(
         self,
@@ -161,9 +164,8 @@ class ClosedSearch:
         dims = len(signals.scheduling)
         leaf = Box((), np.zeros(dims), np.ones(dims))
         losses = design.held_out_losses(0.0)
-        return self.make_candidate(
-            "constant", "mean", GrownStage(design, (leaf,), losses, 1, 0.0)
-        )
+        stage = GrownStage(design, (leaf,), losses, 1, 0.0)
+        return self.make_candidate("constant", "mean", stage, Structure())
 
     def linear(self) -> Iterator[ClosedForm]:
         """Output-error models of rising order without filters (OE)."""
@@ -173,7 +175,7 @@ class ClosedSearch:
             a = self.feedback(signals, order, last)
             stage = self.root(signals, a)
             last = a
-            yield self.make_candidate("OE", f"order {order}", stage)
+            yield self.make_candidate("OE", f"order {order}", stage, Structure(order))
 
     def feedback(
         self, signals: RunSignals, order: int, last: Float[np.ndarray, " _"]
@@ -212,10 +214,9 @@ class ClosedSearch:
         signals = self.signals(memory, 1)
         for order in (0, 1):
             a = self.feedback(signals, order, orders[order]) if order else np.ones(1)
-            stage = self.root(signals, a)
-            yield self.make_candidate(
-                FILTERED_FAMILIES[order], describe_memory(memory, a), stage
-            )
+            stage, name = self.root(signals, a), describe_memory(memory, a)
+            structure = Structure(order)
+            yield self.make_candidate(FILTERED_FAMILIES[order], name, stage, structure)
 
     def polynomials(
         self, orders: dict[int, np.ndarray], degree: int
@@ -226,8 +227,8 @@ class ClosedSearch:
         The best single region need not be the best when it is divided: some of both
         orders are grown.
         """
-        own = self.profile
-        most = max(min(own.rise, own.reach), own.memory / 64, 1.0)
+        known = self.profile
+        most = max(min(known.rise, known.reach), known.memory / 64, 1.0)
         step = max(1, 2 ** int(np.log2(most) - SCALES_TRIED + 1))
         coarse, fine = [], []
         while step <= most:
@@ -236,12 +237,12 @@ class ClosedSearch:
             for order, a in ((0, np.ones(1)), (1, orders[1]), (2, orders[2])):
                 stage = self.root(signals, a, search=False)
                 name = f"degree {degree}, {describe_memory(memory, a)}"
-                found = self.make_candidate("polynomial", name, stage)
+                own = Structure(order, step, degree)
+                found = self.make_candidate("polynomial", name, stage, own)
                 coarse.append((step, order, found))
-                stage = choose_size(
-                    stage.design, stage.leaves, (stage.ridge,), search=True
-                )
-                fine.append((step, order, dataclasses.replace(found, stage=stage)))
+                stage, own = _with_ridge(stage), dataclasses.replace(own, fine=True)
+                found = dataclasses.replace(found, stage=stage, structure=own)
+                fine.append((step, order, found))
             step *= 2
         return _rank(coarse), _rank(fine)
 
@@ -274,7 +275,8 @@ class ClosedSearch:
         for root in _choose_to_grow(coarse, fine)[:grown_roots]:
             stage = self.retune(root.stage)
             if stage is not root.stage:
-                root = dataclasses.replace(root, stage=stage)
+                own = dataclasses.replace(root.structure, feedback=True)
+                root = dataclasses.replace(root, stage=stage, structure=own)
                 yield dataclasses.replace(root, name=f"{root.name}, feedback moved")
             self.roots.append(root)
             levels = self.levels(root.stage.design.signals)
@@ -287,7 +289,44 @@ class ClosedSearch:
             for stage in _choose_to_move(stages, best):
                 end = self.retune(stage, gates=True, most=3)
                 if end is not stage:
-                    yield self.make_divided(root, end, ", gates moved")
+                    yield self.make_divided(root, end, gates=True)
+
+    def repeat(
+        self, family: str, structure: Structure, partitions: Mapping[str, Partitioner]
+    ) -> ClosedForm:
+        """A candidate made once more, of the records of this search.
+
+        Its structure stays: what it is made of, the number of regions, the step of the
+        lags. Feedback, halvings, gates, the number of columns and their ridge are
+        chosen anew.
+        """
+        family, order = family.removesuffix(OF_ROOT), structure.order
+        if family == "constant":
+            return self.constant()
+        if family == "ARX":
+            return self.equation_error(order)
+        linear = list(itertools.islice(self.linear(), max(order, 1)))
+        if family == "OE":
+            return linear[order - 1]
+        orders = {0: np.ones(1)} | dict(
+            enumerate((one.stage.design.a for one in linear), 1)
+        )
+        if family in FILTERED_FAMILIES:
+            return list(self.search_filters(orders))[order]
+        memory = self.memory(structure.step)
+        signals = self.signals(memory, structure.degree)
+        stage = self.root(signals, orders[order], search=False)
+        stage = _with_ridge(stage) if structure.fine else stage
+        stage = self.retune(stage) if structure.feedback else stage
+        if structure.partition:
+            partition = partitions[structure.partition]
+            stage = divide_by(stage, _ask(partition, stage.design))
+        elif structure.models > 1:
+            levels = self.levels(signals)
+            stage = grow_regions(stage, max_models=structure.models, levels=levels)[-1]
+        if structure.gates:
+            stage = self.retune(stage, gates=True, most=3)
+        return self.make_candidate(family, "", stage, structure)
 
     def divide_by_partition(
         self, name: str, partition: Partitioner
@@ -298,24 +337,26 @@ class ClosedSearch:
         explain, so that its residual is that of the free run.
         """
         for root in self.roots:
-            design = root.stage.design
-            x = np.concatenate(design.scheduling_values(), axis=1)
-            columns = np.concatenate(design.blocks[0].columns, axis=1)
-            output = np.concatenate(design.target)
-            validity = ask_partition(
-                partition, x, columns, output, np.ones(len(output))
-            )
-            if count_models(validity, len(x)) > 1:
-                yield self.make_divided(
-                    root, divide_by(root.stage, validity), f", {name}"
-                )
+            validity = _ask(partition, root.stage.design)
+            if count_models(validity, len(root.stage.design.signals.scheduling)) > 1:
+                stage = divide_by(root.stage, validity)
+                yield self.make_divided(root, stage, partition=name)
 
     def make_divided(
-        self, root: ClosedForm, stage: GrownStage, more: str = ""
+        self,
+        root: ClosedForm,
+        stage: GrownStage,
+        *,
+        gates: bool = False,
+        partition: str = "",
     ) -> ClosedForm:
-        """A candidate of several regions."""
-        name = f"{len(stage.leaves)} regions, {root.name}{more}"
-        return self.make_candidate("shared feedback", name, stage)
+        """A candidate of several regions; with `gates` these have moved."""
+        name = f"{len(stage.leaves)} regions, {root.name}"
+        name += ", gates moved" * gates + f", {partition}" * bool(partition)
+        structure = dataclasses.replace(
+            root.structure, models=len(stage.leaves), gates=gates, partition=partition
+        )
+        return self.make_candidate("shared feedback", name, stage, structure)
 
     def levels(self, signals: RunSignals) -> list[tuple[float, ...] | None]:
         """The levels of scheduling variables with few values, scaled as they are."""
@@ -342,7 +383,21 @@ class ClosedSearch:
             bare = _bare(signals, a)
         leaf = Box((), np.zeros(dims), np.ones(dims))
         stage = GrownStage(bare, (leaf,), np.array(losses), len(theta), 0.0)
-        return ClosedForm("ARX", f"order {order}", stage, self.data, theta, left)
+        own = Structure(order)
+        return ClosedForm("ARX", f"order {order}", stage, self.data, own, theta, left)
+
+
+def _with_ridge(stage: GrownStage) -> GrownStage:
+    """The same with the ridge that serves it best."""
+    return choose_size(stage.design, stage.leaves, (stage.ridge,), search=True)
+
+
+def _ask(partition: Partitioner, design: BlockDesign) -> AbstractValidity:
+    """The validity that a partition from elsewhere makes of a single region."""
+    x = np.concatenate(design.scheduling_values(), axis=1)
+    columns = np.concatenate(design.blocks[0].columns, axis=1)
+    output = np.concatenate(design.target)
+    return ask_partition(partition, x, columns, output, np.ones(len(output)))
 
 
 def _rank(every: list[Root]) -> list[Root]:

@@ -9,12 +9,13 @@ from jaxnarx.identification import Candidate, Leaderboard, describe, figure
 CANDIDATES_SHOWN = 10
 """Candidates that the end of a search shows of every output."""
 COLUMN_NAMES = (
-    "rank number family free_run above_best worst_group one_step operations parameters "
-    "s name"
+    "rank number family free_run nested above_best worst_group one_step operations "
+    "parameters s name"
 ).split()
 TABLE_LEGEND = (
-    "free run: NRMSE on records left out ± its standard error over groups; above best: "
-    "difference to the first ± its own standard error, group by group;",
+    "free run: NRMSE on records left out ± its standard error over groups; nested: of "
+    "the chosen one, made again without every group;",
+    "above best: difference to the first ± its own standard error, group by group;",
     "operations: one sample of the model alone, without domain index and intervals. "
     "Words of the names: docs, Reference, Leaderboard.",
 )
@@ -43,8 +44,10 @@ def _format_live(number, output, family, error, operations, seconds, star, name)
 
 
 def _name(row: Candidate) -> str:
-    """The name, and why there is no figure."""
-    return f"{row.name} ({row.detail})" if row.detail else row.name
+    """The name, and why there is no figure, or the nested one."""
+    nested = "" if row.nested is None else f"nested {row.nested:.3g}"
+    told = row.detail or nested
+    return f"{row.name} ({told})" if told else row.name
 
 
 def table(
@@ -81,7 +84,8 @@ def _first_rows(rows: list[dict[str, Any]], top: int) -> list[dict[str, Any]]:
 
 def _cells(table: dict[str, Any]) -> list[str]:
     row = Candidate.from_dict(
-        {k: v for k, v in table.items() if k in _CANDIDATE_FIELDS} | {"groups": ()}
+        {k: v for k, v in table.items() if k in _CANDIDATE_FIELDS}
+        | {"groups": (), "nested_groups": ()}
     )
     worst = table["worst_group"]
     if worst and table["worst_group_error"] is not None:
@@ -92,12 +96,16 @@ def _cells(table: dict[str, Any]) -> list[str]:
         str(row.number),
         _cut(row.family, 23),
         figure(row),
+        "" if row.nested is None else f"{row.nested:.3g}",
         _format_difference(table),
         worst,
         "" if row.one_step is None else f"{row.one_step:.3g}",
         *("" if n is None else str(n) for n in numbers),
         f"{row.seconds:.1f}",
-        _cut(_name(row), LAST_CELL_CHARACTERS),
+        _cut(
+            f"{row.name} ({row.detail})" if row.detail else row.name,
+            LAST_CELL_CHARACTERS,
+        ),
     ]
 
 

@@ -110,7 +110,9 @@ def _describe_trial(event: dict[str, Any]) -> str:
     0.125`."""
     trying, chosen = event["trying"], event["chosen"]
     words = ", ".join(filter(None, (trying.family, trying.name)))
-    fold = f" (group {trying.fold} of {trying.folds} left out)" * bool(trying.fold)
+    nested = " of every choice" * trying.nested
+    fold = f" (group {trying.fold} of {trying.folds} left out{nested})"
+    fold *= bool(trying.fold)
     best = "" if chosen is None else f", so far {figure(chosen)}"
     return f"{event['output']}, candidate {event['number']}: {words}{fold}{best}"
 

@@ -216,3 +216,12 @@ def test_gates_move_in_the_best_and_in_the_largest_that_is_nearly_as_good(
     best = int(np.argmin(scores))
     found = _choose_to_move(stages, best)
     assert [stages.index(one) for one in found] == expected
+
+
+def test_a_candidate_is_made_again_by_its_structure(data, search, found):
+    """Of the same records it is the same."""
+    again = search_of(data)
+    for one in found:
+        repeated = again.repeat(one.family, one.structure, {})
+        assert repeated.family == one.family
+        assert repeated.free_run == pytest.approx(one.free_run, rel=1e-9), one.name

@@ -1,0 +1,100 @@
+"""Nested errors, against the same fold by fold."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from search_problems import plant
+
+import jaxnarx as jnx
+from jaxnarx.data import Groups, groups
+from jaxnarx.errors import DataError
+from jaxnarx.identification.leaderboard import Candidate
+from jaxnarx.identification.nested import judge_nested
+from jaxnarx.models import hold_to_range
+from jaxnarx.partition import ClosedSearch, profile_data
+
+ROW = Candidate("y", 3, "OE", "order 1", free_run=0.1, groups=(0.1,) * 4)
+SPREAD = 2.0
+
+
+@pytest.fixture(scope="module")
+def data():
+    return plant()
+
+
+@pytest.fixture(scope="module")
+def seen(data):
+    return profile_data(data, "y")
+
+
+def remake(fold):
+    """A model of first order."""
+    search = ClosedSearch(fold.train, fold.profile, fold.groups)
+    return hold_to_range(next(search.linear()).network())
+
+
+def test_every_group_is_run_by_a_model_that_knows_nothing_of_it(data, seen):
+    found, told = groups(data), []
+    row = judge_nested(ROW, remake, data, found, seen, SPREAD, told.append)
+    assert told == [1, 2, 3, 4]
+    losses, counts = [], []
+    for g in range(4):
+        train = data[[n for n in range(4) if n != g]]
+        own = profile_data(train, "y")
+        network = hold_to_range(
+            next(ClosedSearch(train, own, groups(train)).linear()).network()
+        )
+        run = jnx.simulate(network, data[[g]]).value
+        at = np.arange(len(data.records[g])) >= seen.begin
+        at &= run.scored[0][:, 0]
+        error = (run.outputs[0][:, 0] - data.records[g].y[:, 0])[at] / SPREAD
+        losses.append(np.mean(error**2))
+        counts.append(at.sum())
+    np.testing.assert_allclose(np.array(row.nested_groups) ** 2, losses, rtol=1e-9)
+    assert row.nested == pytest.approx(np.average(losses, weights=counts) ** 0.5)
+    assert row.promised == row.nested and row.promised_groups == row.nested_groups
+    assert dataclasses.replace(row, nested=None, nested_groups=()) == ROW
+    assert ROW.promised == ROW.free_run and ROW.promised_groups == ROW.groups
+
+
+def test_a_group_without_which_nothing_can_be_made_has_no_error(data, seen):
+    def fail(fold):
+        if fold.train.names[0] != data.names[0]:
+            raise DataError("nothing to be made")
+        return remake(fold)
+
+    row = judge_nested(ROW, fail, data, groups(data), seen, SPREAD)
+    assert row.nested_groups[0] is None and None not in row.nested_groups[1:]
+    weights = [len(r) - seen.begin for r in data.records[1:]]
+    losses = np.array(row.nested_groups[1:], float) ** 2
+    assert row.nested == pytest.approx(np.average(losses, weights=weights) ** 0.5, 0.01)
+
+    def never(fold):
+        raise np.linalg.LinAlgError
+
+    assert judge_nested(ROW, never, data, groups(data), seen, SPREAD) == ROW
+
+
+def test_one_that_diverges_without_a_group_is_vetoed(data, seen):
+    def explode(fold):
+        network = next(
+            ClosedSearch(fold.train, fold.profile, fold.groups).linear()
+        ).network()
+        (model,) = network.models
+        wild = dataclasses.replace(
+            model.local, coefficient=1e3 * model.local.coefficient
+        )
+        wild = dataclasses.replace(model, local=wild)
+        return dataclasses.replace(network, models=(wild,))
+
+    row = judge_nested(ROW, explode, data, groups(data), seen, SPREAD)
+    assert row.status == "diverged" and not row.eligible and row.diverged >= 1
+    assert data.names[0] in row.detail
+
+
+def test_of_two_groups_none_is_left_to_choose_by(data, seen):
+    two = Groups(
+        ("a", "b"), tuple(np.full(len(r), n % 2) for n, r in enumerate(data)), True
+    )
+    assert judge_nested(ROW, remake, data, two, seen, SPREAD) is ROW
