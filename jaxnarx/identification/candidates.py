@@ -22,6 +22,7 @@ from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.narx_candidates import propose_narx
 from jaxnarx.identification.nested import OuterFold, Remake, judge_nested
 from jaxnarx.identification.state_space_candidates import (
+    LONG_RECORDS,
     SHORT_RECORDS,
     propose_gates,
     propose_state_space,
@@ -31,9 +32,11 @@ from jaxnarx.partition import (
     ClosedForm,
     ClosedSearch,
     DataProfile,
+    Errors,
     Structure,
     Sum,
     Summand,
+    align_errors,
     best_sum,
 )
 from jaxnarx.refinement import largest_local_pole
@@ -204,21 +207,38 @@ class CandidateSearch:
 
     def _repeat(
         self, family: str, structure: Structure, root: bool, fold: OuterFold
-    ) -> Network:
+    ) -> tuple[Errors, int]:
         """A candidate in closed form, made of the records of a fold."""
         search = ClosedSearch(fold.train, fold.profile, fold.groups, root=root)
         found = search.repeat(family, structure, self.partitions)
-        return hold_to_range(found.network())
+        return fold.run(hold_to_range(found.network()))
 
     def _retrain(
         self, method: Identification | HiddenStates, stage: int, fold: OuterFold
-    ) -> Network:
+    ) -> tuple[Errors, int]:
         """A candidate that is trained step by step, trained from its start on the
         records of a fold."""
-        rows, data = self._most_rows(method), fold.train
-        if isinstance(method, HiddenStates) and self.data.samples <= rows:
-            data = fold.apart
-        return fit_method(method, data, rows, known=fold.train)[stage]
+        hidden = isinstance(method, HiddenStates)
+        data = fold.apart if hidden else fold.train
+        rows = self._most_rows(method)
+        return fold.run(fit_method(method, data, rows, known=fold.train)[stage])
+
+    def _add_remake(
+        self, method: Identification | HiddenStates, stage: int, name: str
+    ) -> None:
+        """Note how a candidate of a method is made again. With hidden states on long
+        records its errors are those of the cross-validation, which has trained it
+        further: many samples leave no room for what was there before."""
+
+        def remake(fold: OuterFold) -> tuple[Errors, int]:
+            part = self.parts.get(method_family)
+            if long and part is not None and part.name == name:
+                return part.left[fold.g], 0
+            return self._retrain(method, stage, fold)
+
+        long = isinstance(method, HiddenStates) and self.data.samples > LONG_RECORDS
+        method_family = name.partition(", ")[0]
+        self.remakes[name] = remake
 
     def _trained_kinds(self) -> Iterator[Tried]:
         """Candidates that are trained step by step."""
@@ -261,9 +281,8 @@ class CandidateSearch:
         found = best_sum(parts, self.preset.sums)
         if found is not None:
             remakes = [self.remakes[part.name] for part in found.parts]
-            self.remakes[_title("sum", found.name)] = lambda fold: total(
-                [remake(fold) for remake in remakes], [1.0] * len(remakes)
-            )
+            again = functools.partial(_remake_mean, remakes)
+            self.remakes[_title("sum", found.name)] = again
             yield self._sum(found, time.perf_counter() - begin)
 
     def _divide_by_partitions(
@@ -330,8 +349,7 @@ class CandidateSearch:
                 return
             self.passed += 1
             for stage, name in enumerate(names):
-                again = functools.partial(self._retrain, method, stage)
-                self.remakes[_title(family, name)] = again
+                self._add_remake(method, stage, _title(family, name))
             rows = [self.known.get((family, name)) for name in names]
             first = rows[0]
             if all(rows) or (first is not None and first.status == "failed"):
@@ -445,6 +463,14 @@ class CandidateSearch:
             status="skipped" if network is None else "ok",
             detail=detail,
         )
+
+
+def _remake_mean(remakes: Sequence[Remake], fold: OuterFold) -> tuple[Errors, int]:
+    """The mean of candidates that are made again, at the places that all judge."""
+    every, lost = zip(*(remake(fold) for remake in remakes), strict=True)
+    errors = [errors for (errors,) in align_errors([[one] for one in every])]
+    places = functools.reduce(np.intersect1d, (at for at, _ in every))
+    return (places, np.mean(errors, axis=0)), sum(lost)
 
 
 def _title(family: str, name: str) -> str:

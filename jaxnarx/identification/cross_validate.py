@@ -90,7 +90,6 @@ def cross_validate(
     whole: list[Network] = []
     every: list[_Judging] = []
     parted = False
-    edges = np.cumsum([0, *map(len, data)])[:-1].tolist()
     if isinstance(method, HiddenStates):
         parted = rows is None or data.samples <= rows
         everything = groups.exclude_group(data) if parted else data
@@ -108,7 +107,7 @@ def cross_validate(
         else:
             networks = fit_method(method, train, rows, known=data)
         every = every or [_Judging(len(groups), one_step, begin) for _ in networks]
-        first = [n for n, own in zip(edges, groups.labels, strict=True) if g in own]
+        first = group_places(data, groups, g)
         for one, network in zip(every, networks, strict=True):
             one.look(g, network, fold.left, spread, best, first)
         if all(one.told for one in every):
@@ -162,13 +161,10 @@ class _Judging:
         first: Sequence[int],
     ) -> None:
         try:
-            parts, bad = run_errors(network, left, spread, begin=self.begin)
-            self.losses[g], self.counts[g] = _pool(parts)
+            own, bad = run_group(network, left, spread, first, begin=self.begin)
+            self.losses[g], self.counts[g] = _pool([own])
             self.diverged += bad
-            pairs = list(zip(first, parts, strict=True))
-            places = np.concatenate([n + at for n, (at, _) in pairs])
-            errors = np.concatenate([error for _, (_, error) in pairs])
-            self.left[g] = places, errors.astype(np.float32)
+            self.left[g] = own[0], own[1].astype(np.float32)
             if self.ahead == self.ahead:  # wanted
                 ahead = score(network, left, spread, k=1, begin=self.begin)[0]
                 self.ahead += self.counts[g] * ahead
@@ -349,6 +345,28 @@ def run_errors(
     if not any(len(at) for at, _ in found):
         raise DataError(f"no sample counts behind the first {begin} of a record")
     return found, int(sum(d[0] for d in run.diverged))
+
+
+def group_places(data: Dataset, groups: Groups, g: int) -> list[int]:
+    """The places of the first samples of a group's records among all samples."""
+    edges = np.cumsum([0, *map(len, data)])[:-1].tolist()
+    return [n for n, own in zip(edges, groups.labels, strict=True) if g in own]
+
+
+def run_group(
+    network: Network,
+    left: Dataset,
+    spread: float,
+    places: Sequence[int],
+    *,
+    begin: int,
+) -> tuple[Errors, int]:
+    """Errors of the free run over a group, whose records begin at these places, and the
+    number of records that diverge; see `run_errors`."""
+    parts, diverged = run_errors(network, left, spread, begin=begin)
+    pairs = list(zip(places, parts, strict=True))
+    at = np.concatenate([n + at for n, (at, _) in pairs])
+    return (at, np.concatenate([error for _, (_, error) in pairs])), diverged
 
 
 def _pool(parts: Sequence[Errors]) -> tuple[float, int]:

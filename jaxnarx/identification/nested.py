@@ -15,10 +15,10 @@ import numpy as np
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.identification.cross_validate import run_errors
+from jaxnarx.identification.cross_validate import group_places, run_group
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.models import Network
-from jaxnarx.partition import DataProfile, profile_data
+from jaxnarx.partition import DataProfile, Errors, profile_data
 
 FEWEST_GROUPS = 3
 """Groups from which on two are left to choose by."""
@@ -26,17 +26,29 @@ FEWEST_GROUPS = 3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OuterFold:
-    """The records of all groups but one, and what is seen in them."""
+    """The records of all groups but one, what is seen in them, and that group."""
 
+    g: int
     train: Dataset
     apart: Dataset
     """The same, of runs that end where the group begins."""
     groups: Groups
     profile: DataProfile
+    left: Dataset
+    places: list[int]
+    """Those of the first samples of the records `left`, among all."""
+    spread: float
+    begin: int
+    """Samples of every record that judge nothing."""
+
+    def run(self, network: Network) -> tuple[Errors, int]:
+        """Errors of a network over the group, and the records in which it diverges."""
+        return run_group(network, self.left, self.spread, self.places, begin=self.begin)
 
 
-Remake = Callable[[OuterFold], Network]
-"""A candidate made of these records alone."""
+Remake = Callable[[OuterFold], tuple[Errors, int]]
+"""A candidate made of these records alone, run over the group: its errors there, and
+the records in which it diverges."""
 
 
 def judge_nested(
@@ -62,8 +74,10 @@ def judge_nested(
             train, inner = groups.without(data, g)
             apart = groups.exclude_group(data, g)
             seen = profile_data(train, profile.output)
-            network = remake(OuterFold(train, apart, inner, seen))
-            parts, lost = run_errors(network, fold.left, spread, begin=profile.begin)
+            places = group_places(data, groups, g)
+            own = fold.left, places, spread, profile.begin
+            outer = OuterFold(g, train, apart, inner, seen, *own)
+            (_, errors), lost = remake(outer)
         except (JaxnarxError, np.linalg.LinAlgError):
             continue
         if lost:
@@ -74,8 +88,8 @@ def judge_nested(
                 diverged=row.diverged + lost,
                 detail=f"made again without {groups.names[g]} it diverges there",
             )
-        errors = np.concatenate([error for _, error in parts])
-        losses[g], counts[g] = np.mean(errors**2), len(errors)
+        if len(errors):
+            losses[g], counts[g] = np.mean(errors.astype(float) ** 2), len(errors)
     known = np.isfinite(losses)
     if not known.any():
         return row

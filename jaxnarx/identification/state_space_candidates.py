@@ -52,8 +52,8 @@ STRETCH_TIMES = 20
 on some 600 samples each, runs of 12 of 16 whole records of an engine diverged."""
 LONG_RECORDS, LONG_GATE_PULLS, LONG_STEPS = 20_000, (0.001,), 10
 """Samples beyond which one pull and few steps are enough ..."""
-FIRST_ROWS, LONG_FIRST_ROWS = 3_000, 60_000
-FIRST_STEPS, LONG_FIRST_STEPS = 12, 25
+FIRST_ROWS, LONG_FIRST_ROWS = 3_000, 120_000
+FIRST_STEPS, LONG_FIRST_STEPS = 12, 40
 """... after first steps, on so many samples."""
 GATE_PULLS = 0.1, 0.01, 0.001, 1e-4
 """Pulls with gates, which are bounded and need less of it."""

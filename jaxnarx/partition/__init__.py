@@ -13,6 +13,7 @@ from jaxnarx.partition.closed_form.search import ClosedSearch as ClosedSearch
 from jaxnarx.partition.closed_form.sums import Errors as Errors
 from jaxnarx.partition.closed_form.sums import Sum as Sum
 from jaxnarx.partition.closed_form.sums import Summand as Summand
+from jaxnarx.partition.closed_form.sums import align_errors as align_errors
 from jaxnarx.partition.closed_form.sums import best_sum as best_sum
 from jaxnarx.partition.clusters import place, scatter_partition
 from jaxnarx.partition.local_fit import fit_models

@@ -11,6 +11,10 @@ sample in place of a matrix of outputs times parameters. They are spread out ins
 time loop, where they stay in the cache; and the values that a record begins with have
 columns of that record alone. Of five outputs and states, 235 parameters and 20 records
 normal equations take a quarter of the time (`experiments/benchmarks/states.py`).
+
+What is left is mostly the product J'J. Of long runs it is that of every k-th sample
+times k: neighbours say nearly the same. J'r is that of all, so that a training ends
+where it would end otherwise.
 """
 
 from typing import Any
@@ -33,6 +37,9 @@ from jaxnarx.models import (
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.sensitivity import walk_blocks
 from jaxnarx.simulation import RunInputs
+
+GRAM_SAMPLES = 60_000
+"""Samples of all records that J'J is made of, at least."""
 
 
 def shares_terms(layout: Layout) -> bool:
@@ -74,12 +81,13 @@ def normal_equations_of_shared(
     block: tuple[Float[Array, "records time outputs"], ...],
 ) -> tuple[Float[Array, " params"], Float[Array, "params params"]]:
     """J'r and J'J, as `gauss_newton.normal_equations` has them, without the penalty of
-    initial conditions.
+    initial conditions; J'J of runs of `2 * GRAM_SAMPLES` and more is an estimate.
 
     `slope` is that of the coordinates, `block` the roots of the weights, the errors and
     the criterion's share in a derivative.
     """
-    records, _, states = y.shape
+    records, time, states = y.shape
+    every = max(1, records * time // GRAM_SAMPLES)
     count, own = layout.parameters, states - len(network.modelled)
     initial = layout.initial
     slope = slope[:count]
@@ -91,18 +99,19 @@ def normal_equations_of_shared(
         gradient, products, beside, alone, moment = carry
         root, error, bend = (x[:, :, : len(network.modelled)] for x in block)
         # Unscored stretches may be unstable: what overflows there must not count.
-        jacobian = jnp.where(root[..., None] > 0, s * (root * bend)[..., None], 0.0)
-        r = jnp.where(root > 0, error * root, 0.0)
-        jacobian = jacobian.reshape(records, -1, count + own)
-        r = r.reshape(records, -1)
+        share = jnp.where(root > 0, root * bend, 0.0)
+        s = jnp.where(root[..., None] > 0, s, 0.0)
+        r = jnp.where(root > 0, error * root, 0.0) * share
+        by_record = jnp.einsum("rto,rtoc->rc", r, s)
+        share, s = (jnp.sqrt(every) * share)[:, ::every], s[:, ::every]
+        jacobian = (s * share[..., None]).reshape(records, -1, count + own)
         inner, begun = jacobian[..., :count] * slope[None, None], jacobian[..., count:]
-        flat = inner.reshape(-1, count)
         carry = (
-            gradient + r.reshape(-1) @ flat,
-            products + gram(flat),
+            gradient + by_record[:, :count].sum(axis=0) * slope,
+            products + gram(inner.reshape(-1, count)),
             beside + jnp.einsum("rtp,rtk->rpk", inner, begun),
             alone + jnp.einsum("rtj,rtk->rjk", begun, begun),
-            moment + jnp.einsum("rt,rtk->rk", r, begun),
+            moment + by_record[:, count:],
         )
         return carry, None
 

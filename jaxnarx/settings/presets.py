@@ -36,7 +36,7 @@ class Preset:
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
-    longest_gated: int = 250_000
+    longest_gated: int = 120_000
     """Samples that train those with gates, whose equations cost less."""
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best; `share`:
@@ -66,7 +66,7 @@ PRESETS = {
         longest=5_000,
         roots=1,
     ),
-    "good": Preset("minutes for every output", gates=2, sums=3, roots=2),
+    "good": Preset("minutes for every output", gates=1, sums=3, roots=2),
     "best": Preset(
         "the smallest error whatever it costs: an hour and more",
         max_models=24,

@@ -31,7 +31,7 @@ def seen(data):
 def remake(fold):
     """A model of first order."""
     search = ClosedSearch(fold.train, fold.profile, fold.groups)
-    return hold_to_range(next(search.linear()).network())
+    return fold.run(hold_to_range(next(search.linear()).network()))
 
 
 def test_every_group_is_run_by_a_model_that_knows_nothing_of_it(data, seen):
@@ -86,7 +86,7 @@ def test_one_that_diverges_without_a_group_is_vetoed(data, seen):
             model.local, coefficient=1e3 * model.local.coefficient
         )
         wild = dataclasses.replace(model, local=wild)
-        return dataclasses.replace(network, models=(wild,))
+        return fold.run(dataclasses.replace(network, models=(wild,)))
 
     row = judge_nested(ROW, explode, data, groups(data), seen, SPREAD)
     assert row.status == "diverged" and not row.eligible and row.diverged >= 1

@@ -14,6 +14,7 @@ from jaxnarx.linear import increase_degree, set_state_ranges, state_network
 from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.linear.state_space.regions import pad_models
 from jaxnarx.models import AdditiveGates, Network
+from jaxnarx.refinement import shared_terms
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement.gauss_newton import normal_equations
 from jaxnarx.refinement.initial import initial_conditions
@@ -77,6 +78,28 @@ def test_they_are_those_of_any_network(kind, held):
     for found, known in zip(normal_equations(shared, u, *at), plain, strict=True):
         scale = np.abs(known).max()
         np.testing.assert_allclose(found, known, rtol=1e-11, atol=1e-13 * scale)
+
+
+def test_of_long_runs_the_gram_is_that_of_every_kth_sample(monkeypatch):
+    net, data = network("gates"), data_of("gates")
+    task, _ = make_task(net, data)
+    layout = make_layout(net, None, BAND, dense=True)
+    shared = dataclasses.replace(layout, shared_terms=True)
+    u = np.asarray(layout.gather(net))
+    at = task.drive, task.anchors(None)
+    whole = normal_equations(shared, u, *at, task.weight)
+    weight = np.asarray(task.weight)
+    some = np.zeros_like(weight)
+    some[:, ::3] = 3 * weight[:, ::3]
+    few = normal_equations(shared, u, *at, jax.device_put(some))
+    size = task.weight[..., 0].size // 3
+    monkeypatch.setattr(shared_terms, "GRAM_SAMPLES", size)
+    jax.clear_caches()
+    found = normal_equations(shared, u, *at, task.weight)
+    jax.clear_caches()
+    for one, known in zip(found, (*whole[:2], few[2]), strict=True):
+        scale = np.abs(known).max()
+        np.testing.assert_allclose(one, known, rtol=1e-11, atol=1e-13 * scale)
 
 
 def test_coefficients_that_no_term_uses_have_no_entry():
