@@ -94,6 +94,7 @@ def row_of(fit: Any, name: str, scores: dict[str, Any]) -> dict[str, Any]:
             "chosen": chosen.free_run,
             "standard_error": chosen.standard_error,
             "best": best.free_run,
+            "nested": chosen.nested,
             "linear OE": linear[0].free_run if linear else None,
         },
         "seconds": round(sum(r.seconds for r in board.of(name)), 1),
