@@ -13,14 +13,17 @@ from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError, SpecError
 from jaxnarx.evaluation import cost
 from jaxnarx.extensions import Registry
-from jaxnarx.identification.cross_validate import (
-    CrossValidation,
-    cross_validate,
-    fit_method,
-)
+from jaxnarx.identification.cross_validate import CrossValidation, cross_validate
 from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.narx_candidates import propose_narx
-from jaxnarx.identification.nested import OuterFold, Remake, judge_nested
+from jaxnarx.identification.nested import (
+    Remake,
+    errors_of_fold,
+    judge_nested,
+    remake_mean,
+    repeat_closed_form,
+    retrain,
+)
 from jaxnarx.identification.state_space_candidates import (
     LONG_RECORDS,
     SHORT_RECORDS,
@@ -32,11 +35,8 @@ from jaxnarx.partition import (
     ClosedForm,
     ClosedSearch,
     DataProfile,
-    Errors,
-    Structure,
     Sum,
     Summand,
-    align_errors,
     best_sum,
 )
 from jaxnarx.refinement import largest_local_pole
@@ -192,10 +192,10 @@ class CandidateSearch:
                 row, network = self._score_closed_form(
                     found, time.perf_counter() - begin
                 )
-                again = functools.partial(
-                    self._repeat, found.family, found.structure, root
+                again = found.family, found.structure, root, self.partitions
+                self.remakes[_title(row.family, row.name)] = functools.partial(
+                    repeat_closed_form, *again
                 )
-                self.remakes[_title(row.family, row.name)] = again
                 if row.eligible and self._takes_lead(kind, row):
                     self.parts[kind] = found.part(network)
             yield row, network
@@ -204,41 +204,6 @@ class CandidateSearch:
             self.watch(Trying(kind, f"the next behind {found.family}"))
             begin = time.perf_counter()
         self.spread = search.spread
-
-    def _repeat(
-        self, family: str, structure: Structure, root: bool, fold: OuterFold
-    ) -> tuple[Errors, int]:
-        """A candidate in closed form, made of the records of a fold."""
-        search = ClosedSearch(fold.train, fold.profile, fold.groups, root=root)
-        found = search.repeat(family, structure, self.partitions)
-        return fold.run(hold_to_range(found.network()))
-
-    def _retrain(
-        self, method: Identification | HiddenStates, stage: int, fold: OuterFold
-    ) -> tuple[Errors, int]:
-        """A candidate that is trained step by step, trained from its start on the
-        records of a fold."""
-        hidden = isinstance(method, HiddenStates)
-        data = fold.apart if hidden else fold.train
-        rows = self._most_rows(method)
-        return fold.run(fit_method(method, data, rows, known=fold.train)[stage])
-
-    def _add_remake(
-        self, method: Identification | HiddenStates, stage: int, name: str
-    ) -> None:
-        """Note how a candidate of a method is made again. With hidden states on long
-        records its errors are those of the cross-validation, which has trained it
-        further: many samples leave no room for what was there before."""
-
-        def remake(fold: OuterFold) -> tuple[Errors, int]:
-            part = self.parts.get(method_family)
-            if long and part is not None and part.name == name:
-                return part.left[fold.g], 0
-            return self._retrain(method, stage, fold)
-
-        long = isinstance(method, HiddenStates) and self.data.samples > LONG_RECORDS
-        method_family = name.partition(", ")[0]
-        self.remakes[name] = remake
 
     def _trained_kinds(self) -> Iterator[Tried]:
         """Candidates that are trained step by step."""
@@ -281,8 +246,9 @@ class CandidateSearch:
         found = best_sum(parts, self.preset.sums)
         if found is not None:
             remakes = [self.remakes[part.name] for part in found.parts]
-            again = functools.partial(_remake_mean, remakes)
-            self.remakes[_title("sum", found.name)] = again
+            self.remakes[_title("sum", found.name)] = functools.partial(
+                remake_mean, remakes
+            )
             yield self._sum(found, time.perf_counter() - begin)
 
     def _divide_by_partitions(
@@ -349,7 +315,10 @@ class CandidateSearch:
                 return
             self.passed += 1
             for stage, name in enumerate(names):
-                self._add_remake(method, stage, _title(family, name))
+                again = functools.partial(
+                    retrain, method, stage, self._most_rows(method)
+                )
+                self.remakes[_title(family, name)] = again
             rows = [self.known.get((family, name)) for name in names]
             first = rows[0]
             if all(rows) or (first is not None and first.status == "failed"):
@@ -376,6 +345,7 @@ class CandidateSearch:
             seconds = (time.perf_counter() - begin) / len(names)
             for name, one in zip(names, found, strict=True):
                 row, network = self._score_trained(family, name, one, seconds)
+                self._keep_errors(method, row, one)
                 promising |= self._is_near(row)
                 if network is not None and self._takes_lead(family, row):
                     self.parts[family] = _part(row, one, network)
@@ -390,7 +360,22 @@ class CandidateSearch:
             one = self._judge(method, Trying(row.family, row.name))[stage]
         except (JaxnarxError, np.linalg.LinAlgError):
             return None
+        self._keep_errors(method, row, one)
         return None if one.network is None else _part(row, one, one.network)
+
+    def _keep_errors(
+        self,
+        method: Identification | HiddenStates,
+        row: Candidate,
+        found: CrossValidation,
+    ) -> None:
+        """With hidden states on long records errors of the cross-validation, which has
+        trained on without the group, are the nested ones: so many samples leave no room
+        for what was there before."""
+        hidden = isinstance(method, HiddenStates)
+        if hidden and found.complete and self.data.samples > LONG_RECORDS:
+            again = functools.partial(errors_of_fold, found.left)
+            self.remakes[_title(row.family, row.name)] = again
 
     def _is_near(self, row: Candidate) -> bool:
         """Whether a candidate came near the best so far."""
@@ -463,14 +448,6 @@ class CandidateSearch:
             status="skipped" if network is None else "ok",
             detail=detail,
         )
-
-
-def _remake_mean(remakes: Sequence[Remake], fold: OuterFold) -> tuple[Errors, int]:
-    """The mean of candidates that are made again, at the places that all judge."""
-    every, lost = zip(*(remake(fold) for remake in remakes), strict=True)
-    errors = [errors for (errors,) in align_errors([[one] for one in every])]
-    places = functools.reduce(np.intersect1d, (at for at, _ in every))
-    return (places, np.mean(errors, axis=0)), sum(lost)
 
 
 def _title(family: str, name: str) -> str:

@@ -115,7 +115,8 @@ class Candidate:
             require_fit("a candidate", name, value, fields[name].type)
             _require_figures(name, value)
         lists = {n: tuple(table.get(n, ())) for n in ("groups", "nested_groups")}
-        return cls(**(table | lists))
+        own: dict[str, Any] = table | lists
+        return cls(**own)
 
 
 @dataclasses.dataclass(frozen=True)

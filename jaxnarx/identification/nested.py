@@ -9,16 +9,29 @@ M. Stone, "Cross-validatory choice and assessment of statistical predictions", 1
 """
 
 import dataclasses
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError
-from jaxnarx.identification.cross_validate import group_places, run_group
+from jaxnarx.identification.cross_validate import (
+    fit_method,
+    group_places,
+    run_group,
+)
 from jaxnarx.identification.leaderboard import Candidate
-from jaxnarx.models import Network
-from jaxnarx.partition import DataProfile, Errors, profile_data
+from jaxnarx.models import Network, hold_to_range
+from jaxnarx.partition import (
+    ClosedSearch,
+    DataProfile,
+    Errors,
+    Structure,
+    align_errors,
+    profile_data,
+)
+from jaxnarx.settings import HiddenStates, Identification, Partitioner
 
 FEWEST_GROUPS = 3
 """Groups from which on two are left to choose by."""
@@ -96,3 +109,39 @@ def judge_nested(
     error = float(np.sqrt(losses[known] @ counts[known] / counts[known].sum()))
     own = tuple(float(e) if np.isfinite(e) else None for e in np.sqrt(losses))
     return dataclasses.replace(row, nested=error, nested_groups=own)
+
+
+def repeat_closed_form(
+    family: str,
+    structure: Structure,
+    root: bool,
+    partitions: Mapping[str, Partitioner],
+    fold: OuterFold,
+) -> tuple[Errors, int]:
+    """A candidate in closed form, of the output or of its `root`."""
+    search = ClosedSearch(fold.train, fold.profile, fold.groups, root=root)
+    found = search.repeat(family, structure, partitions)
+    return fold.run(hold_to_range(found.network()))
+
+
+def retrain(
+    method: Identification | HiddenStates, stage: int, rows: int, fold: OuterFold
+) -> tuple[Errors, int]:
+    """A candidate that is trained step by step, on up to `rows` samples, from its
+    start."""
+    hidden = isinstance(method, HiddenStates)
+    data = fold.apart if hidden else fold.train
+    return fold.run(fit_method(method, data, rows, known=fold.train)[stage])
+
+
+def errors_of_fold(left: Sequence[Errors], fold: OuterFold) -> tuple[Errors, int]:
+    """Errors that are known already, of every group."""
+    return left[fold.g], 0
+
+
+def remake_mean(remakes: Sequence[Remake], fold: OuterFold) -> tuple[Errors, int]:
+    """The mean of candidates, at the places that all of them judge."""
+    every, lost = zip(*(remake(fold) for remake in remakes), strict=True)
+    errors = [errors for (errors,) in align_errors([[one] for one in every])]
+    places = functools.reduce(np.intersect1d, (at for at, _ in every))
+    return (places, np.mean(errors, axis=0)), sum(lost)

@@ -267,14 +267,13 @@ def _finite(row: Candidate) -> Candidate:
             None if isinstance(value, float) and not value <= LARGEST_FIGURE else value
         )
 
-    return Candidate(
-        **{
-            name: tuple(map(finite_or_none, value))
-            if isinstance(value, tuple)
-            else finite_or_none(value)
-            for name, value in vars(row).items()
-        }
-    )
+    plain: dict[str, Any] = {
+        name: tuple(map(finite_or_none, value))
+        if isinstance(value, tuple)
+        else finite_or_none(value)
+        for name, value in vars(row).items()
+    }
+    return Candidate(**plain)
 
 
 def _round_trip(key: Mapping[str, Any]) -> dict[str, Any]:

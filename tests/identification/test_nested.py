@@ -1,6 +1,7 @@
 """Nested errors, against the same fold by fold."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -9,10 +10,18 @@ from search_problems import plant
 import jaxnarx as jnx
 from jaxnarx.data import Groups, groups
 from jaxnarx.errors import DataError
+from jaxnarx.identification.cross_validate import cross_validate
 from jaxnarx.identification.leaderboard import Candidate
-from jaxnarx.identification.nested import judge_nested
+from jaxnarx.identification.narx_candidates import propose_narx
+from jaxnarx.identification.nested import (
+    errors_of_fold,
+    judge_nested,
+    remake_mean,
+    repeat_closed_form,
+    retrain,
+)
 from jaxnarx.models import hold_to_range
-from jaxnarx.partition import ClosedSearch, profile_data
+from jaxnarx.partition import ClosedSearch, Structure, profile_data
 
 ROW = Candidate("y", 3, "OE", "order 1", free_run=0.1, groups=(0.1,) * 4)
 SPREAD = 2.0
@@ -98,3 +107,49 @@ def test_of_two_groups_none_is_left_to_choose_by(data, seen):
         ("a", "b"), tuple(np.full(len(r), n % 2) for n, r in enumerate(data)), True
     )
     assert judge_nested(ROW, remake, data, two, seen, SPREAD) is ROW
+
+
+def test_a_mean_is_that_of_candidates_made_again(data, seen):
+    def second(fold):
+        (places, errors), _ = remake(fold)
+        return (places[5:], 3 * errors[5:]), 0
+
+    row = judge_nested(
+        ROW,
+        functools.partial(remake_mean, [remake, second]),
+        data,
+        groups(data),
+        seen,
+        SPREAD,
+    )
+    one = judge_nested(ROW, remake, data, groups(data), seen, SPREAD)
+    assert one.nested is not None
+    assert row.nested == pytest.approx(2 * one.nested, rel=0.05)
+    known = [(np.arange(3), np.full(3, float(g))) for g in range(4)]
+    kept = judge_nested(
+        ROW,
+        functools.partial(errors_of_fold, known),
+        data,
+        groups(data),
+        seen,
+        SPREAD,
+    )
+    assert kept.nested_groups == pytest.approx((0, 1, 2, 3))
+
+
+def test_what_is_made_again_knows_its_structure_alone(data, seen):
+    """A closed form, and a method with the rows of its fold."""
+    again = functools.partial(repeat_closed_form, "OE", Structure(order=1), False, {})
+    row = judge_nested(ROW, again, data, groups(data), seen, SPREAD)
+    one = judge_nested(ROW, remake, data, groups(data), seen, SPREAD)
+    assert row == one
+    method = next(m for _, _, m in propose_narx(data, seen))
+    plain = dataclasses.replace(method, refine=None)
+    row = judge_nested(
+        ROW, functools.partial(retrain, plain, 0, 10_000), data, groups(data), seen, 1.0
+    )
+    left = cross_validate(plain, data, groups(data), 1.0, one_step=False)[0]
+    # Its terms are chosen there too; inputs that lags begin at are those of all here.
+    assert row.nested == pytest.approx(
+        np.average(left.losses, weights=left.counts) ** 0.5, rel=0.05
+    )
