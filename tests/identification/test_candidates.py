@@ -64,6 +64,7 @@ def judged(monkeypatch, few) -> dict:
         return [result]
 
     monkeypatch.setattr(module, "judge_nested", lambda row, *_: row)
+    monkeypatch.setattr(module, "FED_PATIENCE", 3)
     monkeypatch.setattr(module, "ClosedSearch", Fake)
     monkeypatch.setattr(module, "cross_validate", judge)
     return said
@@ -150,14 +151,17 @@ def test_one_given_up_is_skipped_and_not_remembered(data, seen, few, judged):
     assert {spread for spread, _ in judged["asked"]} == {1.5}
 
 
-@pytest.mark.parametrize(("share", "count"), [(1.4, 4), (1.6, 2)])
+@pytest.mark.parametrize(
+    ("share", "rule", "count"), [(1.4, "near", 4), (1.6, "near", 1), (1.6, "best", 2)]
+)
 def test_a_kind_that_comes_nowhere_near_is_given_up(
-    data, seen, few, judged, share, count
+    data, seen, few, judged, monkeypatch, share, rule, count
 ):
+    monkeypatch.setattr(module, "FED_PATIENCE", 1)
     best = min((one.losses() for one in few), key=np.sum)
     result = made(share**2 * best[:4], few[0].network())
     judged["results"] = [result] * 4
-    patient = dataclasses.replace(TINY, fed_back=4, patience=2)
+    patient = dataclasses.replace(TINY, fed_back=4, patience=2, rule=rule)
     assert len(tried(data, seen, patient)[1]) == 3 + count
 
 
