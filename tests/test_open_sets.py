@@ -351,6 +351,15 @@ def test_what_a_kind_of_candidate_gains(kind, tmp_path):
     assert rows["scored"][0]["outputs"] == [rows["rows"][0]["output"]]
 
 
+@pytest.mark.slow
+def test_promises_stand_beside_the_truth(tmp_path):
+    experiment("open_sets/promises.py", "--smoke", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "promises.json").read_text())["figures"]
+    assert len(figures["rows"]) == 2
+    assert all(row["true"] > 0 and row["promised"] > 0 for row in figures["rows"])
+    assert figures["true over promised"]["median"] > 0
+
+
 def test_the_order_takes_what_lowers_errors_most_for_its_seconds():
     from order import ordered, problems  # pyright: ignore[reportMissingImports]
 
