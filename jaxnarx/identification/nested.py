@@ -25,9 +25,9 @@ from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.partition import (
     ClosedSearch,
+    ClosedStructure,
     DataProfile,
     Errors,
-    Structure,
     align_errors,
     profile_data,
 )
@@ -113,7 +113,7 @@ def judge_nested(
 
 def repeat_closed_form(
     family: str,
-    structure: Structure,
+    structure: ClosedStructure,
     root: bool,
     partitions: Mapping[str, Partitioner],
     fold: OuterFold,

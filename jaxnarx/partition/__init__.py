@@ -6,7 +6,7 @@ from jaxnarx.deprecation import find_old as _find_old
 from jaxnarx.partition._grow import grow
 from jaxnarx.partition._lolimot import lolimot, validity_of_boxes
 from jaxnarx.partition.closed_form.model import ClosedForm as ClosedForm
-from jaxnarx.partition.closed_form.model import Structure as Structure
+from jaxnarx.partition.closed_form.model import ClosedStructure as ClosedStructure
 from jaxnarx.partition.closed_form.profile import DataProfile as DataProfile
 from jaxnarx.partition.closed_form.profile import profile_data as profile_data
 from jaxnarx.partition.closed_form.search import ClosedSearch as ClosedSearch

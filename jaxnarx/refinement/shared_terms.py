@@ -99,19 +99,21 @@ def normal_equations_of_shared(
         gradient, products, beside, alone, moment = carry
         root, error, bend = (x[:, :, : len(network.modelled)] for x in block)
         # Unscored stretches may be unstable: what overflows there must not count.
-        share = jnp.where(root > 0, root * bend, 0.0)
-        s = jnp.where(root[..., None] > 0, s, 0.0)
-        r = jnp.where(root > 0, error * root, 0.0) * share
-        by_record = jnp.einsum("rto,rtoc->rc", r, s)
-        share, s = (jnp.sqrt(every) * share)[:, ::every], s[:, ::every]
-        jacobian = (s * share[..., None]).reshape(records, -1, count + own)
+        jacobian = jnp.where(root[..., None] > 0, s * (root * bend)[..., None], 0.0)
+        r = jnp.where(root > 0, error * root, 0.0)
+        jacobian = jacobian.reshape(records, -1, count + own)
+        r = r.reshape(records, -1)
         inner, begun = jacobian[..., :count] * slope[None, None], jacobian[..., count:]
+        gradient = gradient + r.reshape(-1) @ inner.reshape(-1, count)
+        moment = moment + jnp.einsum("rt,rtk->rk", r, begun)
+        # Rows of several outputs follow one another: their samples are thinned.
+        inner, begun = (_thin(a, s.shape[2], every) for a in (inner, begun))
         carry = (
-            gradient + by_record[:, :count].sum(axis=0) * slope,
-            products + gram(inner.reshape(-1, count)),
-            beside + jnp.einsum("rtp,rtk->rpk", inner, begun),
-            alone + jnp.einsum("rtj,rtk->rjk", begun, begun),
-            moment + by_record[:, count:],
+            gradient,
+            products + every * gram(inner.reshape(-1, count)),
+            beside + every * jnp.einsum("rtp,rtk->rpk", inner, begun),
+            alone + every * jnp.einsum("rtj,rtk->rjk", begun, begun),
+            moment,
         )
         return carry, None
 
@@ -141,6 +143,17 @@ def normal_equations_of_shared(
     whole = whole.at[:count, flat].set(by_record).at[flat, :count].set(by_record.T)
     whole = whole.at[place[:, :, None], place[:, None]].set(alone)
     return jnp.pad(gradient, (0, size - count)).at[flat].set(moment.reshape(-1)), whole
+
+
+def _thin(
+    a: Float[Array, "records rows columns"], outputs: int, every: int
+) -> Float[Array, "records _ columns"]:
+    """The rows of every so many-th sample; each sample has one for every output."""
+    if every == 1:
+        return a
+    records, _, columns = a.shape
+    a = a.reshape(records, -1, outputs, columns)[:, ::every]
+    return a.reshape(records, -1, columns)
 
 
 def _record_rows(

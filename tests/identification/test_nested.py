@@ -21,7 +21,7 @@ from jaxnarx.identification.nested import (
     retrain,
 )
 from jaxnarx.models import hold_to_range
-from jaxnarx.partition import ClosedSearch, Structure, profile_data
+from jaxnarx.partition import ClosedSearch, ClosedStructure, profile_data
 
 ROW = Candidate("y", 3, "OE", "order 1", free_run=0.1, groups=(0.1,) * 4)
 SPREAD = 2.0
@@ -139,7 +139,9 @@ def test_a_mean_is_that_of_candidates_made_again(data, seen):
 
 def test_what_is_made_again_knows_its_structure_alone(data, seen):
     """A closed form, and a method with the rows of its fold."""
-    again = functools.partial(repeat_closed_form, "OE", Structure(order=1), False, {})
+    again = functools.partial(
+        repeat_closed_form, "OE", ClosedStructure(order=1), False, {}
+    )
     row = judge_nested(ROW, again, data, groups(data), seen, SPREAD)
     one = judge_nested(ROW, remake, data, groups(data), seen, SPREAD)
     assert row == one

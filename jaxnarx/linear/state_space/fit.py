@@ -46,6 +46,9 @@ from jaxnarx.solution import Solution
 Tell = Callable[[dict[str, Any]], None]
 PULL_TOLERANCE = 5e-4
 """Relative decrease, twice in a row, at which a value of the pull has done its work."""
+PROBE_STEPS, PROBE_SHARE = 15, 2 / 3
+"""Steps with gates after which a training that takes more of them goes on only where
+the error is below this share of what is hopeless in the end."""
 DIVIDED_STARTS = 2
 """How many of the starts are divided into regions."""
 DIVISION_STEPS = 6
@@ -101,7 +104,7 @@ def fit_states(
     if method.gates:
         first = method.shrink[0] * (1.0 if few is data else FIRST_PULL_FACTOR)
         best = min(starts, key=_training_error)
-        starts = [_gated(best, few, method, first, progress)]
+        starts = [_gated(best, few, method, first, hopeless, progress)]
     if method.regions > 1:
         starts = sorted(starts, key=_training_error)[:DIVIDED_STARTS]
         starts = [_roomy(start, method.regions) for start in starts]
@@ -205,14 +208,24 @@ def _gated(
     data: Dataset,
     method: HiddenStates,
     shrink: float,
+    hopeless: float,
     progress: Tell | None,
 ) -> _Start:
-    """Add gates, drawn over what the start visits, and take the first steps."""
+    """Add gates, drawn over what the start visits, and take the first steps; DataError
+    where many are to be taken, and the first of these end far from what is hoped."""
     network = dataclasses.replace(
         start.fit.value, low=start.ranged.low, high=start.ranged.high
     )
-    network = add_gates(network, data, method.gates, method.draw)
-    fit = _train(network, data, method.first_steps, shrink, progress)
+    network, steps = add_gates(network, data, method.gates, method.draw), 0
+    if method.first_steps > PROBE_STEPS:
+        steps = PROBE_STEPS
+        network = _train(network, data, steps, shrink, progress).value
+        error = _error(set_state_ranges(network, data), data)
+        if not error <= (PROBE_SHARE * hopeless) ** 2:
+            raise DataError(
+                f"an error in training of {error**0.5:.3g} after {steps} steps"
+            )
+    fit = _train(network, data, method.first_steps - steps, shrink, progress)
     ranged = set_state_ranges(fit.value, data)
     return _Start(start.name, fit, ranged, _error(ranged, data))
 

@@ -19,7 +19,7 @@ RUNAWAY_VALUE = 1e30
 
 
 @dataclasses.dataclass(frozen=True)
-class Structure:
+class ClosedStructure:
     """How a candidate is made: by this it is made again of other records."""
 
     order: int = 0
@@ -47,7 +47,7 @@ class ClosedForm:
     name: str
     stage: GrownStage
     data: Dataset
-    structure: Structure
+    structure: ClosedStructure
     given: Float[np.ndarray, " columns"] | None = None
     """Coefficients that are not those of least squares of the free run ..."""
     left_out: Sequence[Float[np.ndarray, " _"]] | None = None

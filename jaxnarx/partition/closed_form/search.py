@@ -28,7 +28,7 @@ from jaxnarx.partition.closed_form.growth import (
     divide_by,
     grow_regions,
 )
-from jaxnarx.partition.closed_form.model import ClosedForm, Structure, tame
+from jaxnarx.partition.closed_form.model import ClosedForm, ClosedStructure, tame
 from jaxnarx.partition.closed_form.profile import DataProfile
 from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 from jaxnarx.partition.closed_form.terms import (
@@ -107,7 +107,7 @@ class ClosedSearch:
         return Memory.of(step, self.profile.reach, self.profile.memory)
 
     def make_candidate(
-        self, family: str, name: str, stage: GrownStage, structure: Structure
+        self, family: str, name: str, stage: GrownStage, structure: ClosedStructure
     ) -> ClosedForm:
         """A candidate."""
         if self.modelled_root:
@@ -165,7 +165,7 @@ class ClosedSearch:
         leaf = Box((), np.zeros(dims), np.ones(dims))
         losses = design.held_out_losses(0.0)
         stage = GrownStage(design, (leaf,), losses, 1, 0.0)
-        return self.make_candidate("constant", "mean", stage, Structure())
+        return self.make_candidate("constant", "mean", stage, ClosedStructure())
 
     def linear(self) -> Iterator[ClosedForm]:
         """Output-error models of rising order without filters (OE)."""
@@ -175,7 +175,9 @@ class ClosedSearch:
             a = self.feedback(signals, order, last)
             stage = self.root(signals, a)
             last = a
-            yield self.make_candidate("OE", f"order {order}", stage, Structure(order))
+            yield self.make_candidate(
+                "OE", f"order {order}", stage, ClosedStructure(order)
+            )
 
     def feedback(
         self, signals: RunSignals, order: int, last: Float[np.ndarray, " _"]
@@ -215,7 +217,7 @@ class ClosedSearch:
         for order in (0, 1):
             a = self.feedback(signals, order, orders[order]) if order else np.ones(1)
             stage, name = self.root(signals, a), describe_memory(memory, a)
-            structure = Structure(order)
+            structure = ClosedStructure(order)
             yield self.make_candidate(FILTERED_FAMILIES[order], name, stage, structure)
 
     def polynomials(
@@ -237,7 +239,7 @@ class ClosedSearch:
             for order, a in ((0, np.ones(1)), (1, orders[1]), (2, orders[2])):
                 stage = self.root(signals, a, search=False)
                 name = f"degree {degree}, {describe_memory(memory, a)}"
-                own = Structure(order, step, degree)
+                own = ClosedStructure(order, step, degree)
                 found = self.make_candidate("polynomial", name, stage, own)
                 coarse.append((step, order, found))
                 stage, own = _with_ridge(stage), dataclasses.replace(own, fine=True)
@@ -292,7 +294,10 @@ class ClosedSearch:
                     yield self.make_divided(root, end, gates=True)
 
     def repeat(
-        self, family: str, structure: Structure, partitions: Mapping[str, Partitioner]
+        self,
+        family: str,
+        structure: ClosedStructure,
+        partitions: Mapping[str, Partitioner],
     ) -> ClosedForm:
         """A candidate made once more, of the records of this search.
 
@@ -383,7 +388,7 @@ class ClosedSearch:
             bare = _bare(signals, a)
         leaf = Box((), np.zeros(dims), np.ones(dims))
         stage = GrownStage(bare, (leaf,), np.array(losses), len(theta), 0.0)
-        own = Structure(order)
+        own = ClosedStructure(order)
         return ClosedForm("ARX", f"order {order}", stage, self.data, own, theta, left)
 
 

@@ -12,8 +12,9 @@ from state_plants import made, plant, records
 
 import jaxnarx as jnx
 from jaxnarx.arrays.programs import program
-from jaxnarx.errors import SpecError
+from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear import fit_states, set_state_ranges, state_network
+from jaxnarx.linear.state_space import fit as fit_module
 from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.models import AdditiveGates, Network, load, save
 from jaxnarx.refinement._refine import make_task
@@ -199,3 +200,24 @@ def test_gates_need_one_linear_region():
         HiddenStates(states=1, degree=1, regions=3, gates=4)
     with pytest.raises(SpecError, match="gates"):
         HiddenStates(states=1, degree=1, gates=-1)
+
+
+def test_many_first_steps_are_taken_where_the_first_of_them_give_hope(monkeypatch):
+    data, asked = records(), []
+    train = fit_module._train
+
+    def counted(network, data, steps, shrink, progress):
+        gates = len(network.models[0].active) > 1
+        asked.append(steps) if gates else None
+        return train(network, data, 1 if gates else steps, shrink, progress)
+
+    monkeypatch.setattr(fit_module, "_train", counted)
+    method = HiddenStates(
+        states=2, degree=1, gates=GATES, first_steps=20, max_steps=4, shrink=(0.1,)
+    )
+    fit_states(data, method)
+    assert asked == [15, 5, 4]
+    asked.clear()
+    with pytest.raises(DataError, match="an error in training .* after 15 steps"):
+        fit_states(data, method, hopeless=1e-6)
+    assert asked == [15]
