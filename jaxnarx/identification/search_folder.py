@@ -79,7 +79,7 @@ class SearchFolder:
             self.save(row.number, network)
         row = _finite(row)
         board = self.leaderboard
-        rows = (*(r for r in board.rows if r.number != row.number), row)
+        rows = tuple({r.number: r for r in (*board.rows, row)}.values())
         after = dataclasses.replace(
             self, leaderboard=dataclasses.replace(board, rows=rows)
         )

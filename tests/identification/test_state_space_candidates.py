@@ -441,7 +441,7 @@ def test_a_search_goes_on_behind_the_methods_that_are_done(monkeypatch, tmp_path
     few = dataclasses.replace(TINY, orders=(1,), patience=9, rule="best")
     monkeypatch.setitem(PRESETS, "tiny", few)
     monkeypatch.setattr(search, "cores", lambda: 1)
-    for name, pulls in (("SHORT_PULLS", (0.3, 0.001)), ("PULLS", (0.1, 0.001))):
+    for name, pulls in (("SHORT_PULLS", (0.3, 0.001)), ("PULLS_TRIED", (0.1, 0.001))):
         monkeypatch.setattr(module_of_methods, name, pulls)
     asked = []
 

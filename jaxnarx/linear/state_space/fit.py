@@ -46,9 +46,9 @@ from jaxnarx.solution import Solution
 Tell = Callable[[dict[str, Any]], None]
 PULL_TOLERANCE = 5e-4
 """Relative decrease, twice in a row, at which a value of the pull has done its work."""
-PROBE_STEPS, PROBE_SHARE = 15, 2 / 3
-"""Steps with gates after which a training that takes more of them goes on only where
-the error is below this share of what is hopeless in the end."""
+PROBE_STEPS = 15
+"""Steps with gates after which a training that takes more of them goes on only where it
+is not hopeless."""
 DIVIDED_STARTS = 2
 """How many of the starts are divided into regions."""
 DIVISION_STEPS = 6
@@ -221,7 +221,7 @@ def _gated(
         steps = PROBE_STEPS
         network = _train(network, data, steps, shrink, progress).value
         error = _error(set_state_ranges(network, data), data)
-        if not error <= (PROBE_SHARE * hopeless) ** 2:
+        if not error <= hopeless**2:
             raise DataError(
                 f"an error in training of {error**0.5:.3g} after {steps} steps"
             )
