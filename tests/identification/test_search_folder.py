@@ -45,7 +45,7 @@ def test_a_number_tried_again_takes_the_place_of_the_first(tmp_path):
     folder = open_search(tmp_path, KEY, EMPTY).add(row(4), None)
     other = dataclasses.replace(row(4), name="other")
     assert folder.add(other, None).leaderboard.rows == (other,)
-    last = dataclasses.replace(row(4), number=5)
+    last = dataclasses.replace(row(4), number=9)
     both = folder.add(last, None).add(other, None)
     assert both.leaderboard.rows == (other, last)
 
