@@ -1,4 +1,4 @@
-"""What a search promises, over what its model keeps on fresh records.
+"""The error that a search promises beside that of its model on fresh records.
 
 Ten kinds of plants, two draws each, none of which the search was made with: static
 curves behind and before dynamics, a product of input and state, time constants that an
@@ -221,7 +221,7 @@ def system(n: int) -> tuple[str, Any, Any]:
 
 
 def compare(n: int, preset: str) -> dict[str, Any]:
-    """What is promised for a system, and what is kept."""
+    """The errors that are promised for a system, and the true one."""
     from gains import nrmse  # pyright: ignore[reportMissingImports]
 
     import jaxnarx as jnx

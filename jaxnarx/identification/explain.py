@@ -153,7 +153,7 @@ def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
 
 
 def _nested(row: Candidate) -> str:
-    """What is promised where even the choices were made without the group."""
+    """The nested error of a row in words, where it is known."""
     if row.nested is None:
         return ""
     return f" (nested {ratio_text(row.nested)}: made again without every group)"

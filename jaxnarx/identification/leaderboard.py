@@ -83,7 +83,7 @@ class Candidate:
 
     @property
     def promised(self) -> float | None:
-        """What the candidate promises: the nested error where it is known."""
+        """The nested error where it is known, else the held-out one."""
         return self.free_run if self.nested is None else self.nested
 
     @property

@@ -1,9 +1,9 @@
 """The error of a chosen candidate by nested cross-validation.
 
-What a search moves on all groups (feedback, gates, dead times, ranges) has seen every
-group that is "left out" afterwards, and the choice has seen all their errors. Here a
-group is left out first, and the candidate is made again of the others: its structure
-stays, everything else is chosen anew, by the groups among them.
+A search moves feedback, gates, dead times and ranges on all groups, so these have seen
+every group that is "left out" afterwards. Here a group is left out first, and the
+candidate is made again of the others: its structure stays, everything else is chosen
+anew, by the groups among them.
 
 M. Stone, "Cross-validatory choice and assessment of statistical predictions", 1974.
 """

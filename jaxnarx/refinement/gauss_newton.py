@@ -79,7 +79,8 @@ def normal_equations(
 ) -> tuple[Float[Array, ""], Float[Array, " params"], Float[Array, "params params"]]:
     """Loss, J'r and J'J of the run restarted at anchors, by the coordinates `u`.
 
-    J'r is half the gradient of the loss. Under a robust loss J'J holds the weights of
+    J'r is half the gradient of the loss; of long runs of networks that share terms J'J
+    is an estimate (`shared_terms`). Under a robust loss J'J holds the weights of
     iteratively reweighted least squares.
     """
     network, drive_of = layout.place(u), _start(layout, u, drive)

@@ -39,7 +39,7 @@ from jaxnarx.refinement.sensitivity import walk_blocks
 from jaxnarx.simulation import RunInputs
 
 GRAM_SAMPLES = 60_000
-"""Samples of all records that J'J is made of, at least."""
+"""Samples of all records that J'J is made of, about, before twice as many are taken."""
 
 
 def shares_terms(layout: Layout) -> bool:

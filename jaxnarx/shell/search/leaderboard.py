@@ -34,7 +34,8 @@ def live_line(row: Candidate, best: bool) -> str:
     """One candidate as it finishes; the best of its output so far has a star."""
     operations = "" if row.operations is None else str(row.operations)
     cells = (str(row.number), row.output, row.family, figure(row), operations)
-    return _format_live(*cells, f"{row.seconds:.1f}", "*" * best, _name(row))
+    nested = "" if row.nested is None else f" (nested {row.nested:.3g})"
+    return _format_live(*cells, f"{row.seconds:.1f}", "*" * best, _name(row) + nested)
 
 
 def _format_live(number, output, family, error, operations, seconds, star, name) -> str:
@@ -44,10 +45,8 @@ def _format_live(number, output, family, error, operations, seconds, star, name)
 
 
 def _name(row: Candidate) -> str:
-    """The name, and why there is no figure, or the nested one."""
-    nested = "" if row.nested is None else f"nested {row.nested:.3g}"
-    told = row.detail or nested
-    return f"{row.name} ({told})" if told else row.name
+    """The name, and why there is no figure."""
+    return f"{row.name} ({row.detail})" if row.detail else row.name
 
 
 def table(
@@ -102,10 +101,7 @@ def _cells(table: dict[str, Any]) -> list[str]:
         "" if row.one_step is None else f"{row.one_step:.3g}",
         *("" if n is None else str(n) for n in numbers),
         f"{row.seconds:.1f}",
-        _cut(
-            f"{row.name} ({row.detail})" if row.detail else row.name,
-            LAST_CELL_CHARACTERS,
-        ),
+        _cut(_name(row), LAST_CELL_CHARACTERS),
     ]
 
 
