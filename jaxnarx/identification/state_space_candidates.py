@@ -102,9 +102,9 @@ def propose_gates(
     on the catalyst temperature of a measured engine the error of groups left out was
     .060 when 250,000 samples trained, that of the closed form .112. Else they begin
     from subspace identification; of one or two inputs only with `best`. On the
-    cascaded tanks, the coupled drives and the Bouc-Wen damper 2 of 64 candidates with gates diverged on
-    a group left out, of those with products 13 of 20; on the damper errors fell with
-    the pull, to .061 with eight gates against .075 of products.
+    cascaded tanks, the coupled drives and the Bouc-Wen damper 2 of 64 candidates with
+    gates diverged on a group left out, of those with products 13 of 20; on the damper
+    errors fell with the pull, to .061 with eight gates against .075 of products.
     """
     inputs = len(data.channels.inputs)
     most = min(MOST_COEFFICIENTS, data.samples / SAMPLES_PER_COEFFICIENT)
