@@ -157,6 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     figures = json.loads(path.read_text())["figures"] if path.exists() else {}
     for preset in presets:
         place = options.runs / f"gengine1-{preset}"
+        began = search_began(place)
         fit = jnx.identify(train, preset=preset, folder=place, progress=shown)
         scores = errors(fit.value, test)
         rows = [row_of(fit, name, scores[name]) for name in fit.value.output_names]
@@ -166,10 +167,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "summary": summary(rows),
             "rows": rows,
             "scored": [*past, code() | {"date": time.strftime("%Y-%m-%d")} | told],
+            "search began": began,
         }
         show(preset, rows)
         print(summary(rows))
         record("gengine1_identify", figures, folder=folder)
+
+
+def search_began(folder: Path) -> dict[str, Any]:
+    """The code a search began with: one that goes on later may end with another."""
+    path = folder / "began.json"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(code()))
+    return json.loads(path.read_text())
 
 
 def small(data: jnx.Dataset) -> jnx.Dataset:
