@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from jaxnarx import evaluation as evaluation
     from jaxnarx import excitation as excitation
     from jaxnarx import exporters as exporters
+    from jaxnarx import fleet as fleet
     from jaxnarx import identification as identification
     from jaxnarx import inverse as inverse
     from jaxnarx import linear as linear
@@ -121,7 +122,7 @@ _ROOM_BY_NAME = {
 _ROOM_MODULES = {
     name: f"jaxnarx.{name}"
     for name in (
-        "confidence data design engines errors evaluation excitation exporters "
+        "confidence data design engines errors evaluation excitation exporters fleet "
         "identification inverse linear metrics models partition refinement "
         "regressors selection settings simulation sweep"
     ).split()

@@ -40,6 +40,7 @@ def fit_error_model(
     *,
     groups: Groups | None = None,
     left_out: Float[np.ndarray, "outputs groups"] | None = None,
+    run: Trajectories | None = None,
 ) -> Network:
     """The network with prediction intervals of its free run.
 
@@ -52,6 +53,8 @@ def fit_error_model(
         left_out: Free-run RMSE, in the output's unit, of every group by a model made
             without it, as a search has found it: errors of the training are that many
             times larger in use. NaN where it is not known.
+        run: The free run of `data` where it is at hand, or that of networks of the same
+            structure, of every engine its own, say.
 
     Returns:
         The network with `errors` (`jaxnarx.models.ErrorModel`), a free run unchanged;
@@ -71,7 +74,7 @@ def fit_error_model(
     data = match_records(network, data)
     if groups is None:
         groups = _groups(network, data)
-    run = simulate(network, data).value
+    run = simulate(network, data).value if run is None else run
     rows = feature_rows(network.domain.features, data, groups)
     layers = fold_layers(network.domain, rows)
     index = layers.max(axis=1)

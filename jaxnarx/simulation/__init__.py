@@ -33,6 +33,7 @@ from jaxnarx.simulation.runs import states as states
 from jaxnarx.simulation.trajectories import IN_A_ROW as IN_A_ROW
 from jaxnarx.simulation.trajectories import Trajectories as Trajectories
 from jaxnarx.simulation.trajectories import has_diverged as has_diverged
+from jaxnarx.simulation.trajectories import join_runs as join_runs
 from jaxnarx.simulation.trajectories import limited_samples as limited_samples
 from jaxnarx.simulation.verbs import predict as predict
 from jaxnarx.simulation.verbs import simulate as simulate

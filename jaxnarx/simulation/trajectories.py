@@ -1,6 +1,7 @@
 """Trajectories of a run in physical units, and when it counts as diverged."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -190,3 +191,11 @@ def make_trajectories(
             for name, mask in marks.items()
         },
     )
+
+
+def join_runs(runs: Sequence[Trajectories]) -> Trajectories:
+    """The records of several runs of the same outputs, one behind another."""
+    first = runs[0]
+    fields = [f.name for f in dataclasses.fields(first) if f.name != "output_names"]
+    every = {name: tuple(x for r in runs for x in getattr(r, name)) for name in fields}
+    return Trajectories(**every, output_names=first.output_names)

@@ -1,0 +1,10 @@
+"""Fleets: one structure, a population of engines, a new one from few samples."""
+
+from jaxnarx.data import Fleet as Fleet
+from jaxnarx.fleet._calibrate import calibrate as calibrate
+from jaxnarx.fleet._calibrate import calibrate_each as calibrate_each
+from jaxnarx.fleet._learn import learn as learn
+from jaxnarx.fleet.population import Population as Population
+from jaxnarx.fleet.prior import FleetPrior as FleetPrior
+from jaxnarx.fleet.prior import load_prior as load_prior
+from jaxnarx.fleet.prior import save_prior as save_prior

@@ -1,0 +1,296 @@
+"""The verb `calibrate`: an engine of a fleet from few samples."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.stats
+from jaxtyping import Float, Int
+
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.data import Dataset
+from jaxnarx.errors import DataError, SpecError
+from jaxnarx.fleet.broken import squared_distances
+from jaxnarx.fleet.coefficients import names_of, outputs_of
+from jaxnarx.fleet.information import (
+    Information,
+    gather_information,
+    parts_of,
+    skip_begin,
+)
+from jaxnarx.fleet.population import posterior, root_of
+from jaxnarx.fleet.prior import FleetPrior
+from jaxnarx.fleet.rivals import (
+    KINDS,
+    at_samples,
+    choose,
+    estimate_each,
+    judge_by_blocks,
+)
+from jaxnarx.formatting import count, list_names
+from jaxnarx.models import Network
+from jaxnarx.simulation import Prepared, prepare
+from jaxnarx.solution import RESULTS, Solution
+
+BLOCKS = 5
+"""Blocks of the new samples, each judged by the others."""
+FEWEST_SAMPLES_PER_BLOCK = 2
+PASSES = 3
+"""Linearisations at most, the first about the population's mean."""
+MOVED = 1e-6
+"""Change of a coefficient, in deviations of the output, that counts as none."""
+FOREIGN_PROBABILITY = 1e-6
+"""Probability of a distance as large from which an engine is none of the fleet."""
+NAMED = 5
+"""Coefficients that are named as unusual."""
+
+
+@guard_arguments
+def calibrate(prior: FleetPrior, few: Dataset) -> Solution[Network]:
+    """The network of a new engine of a fleet, from few of its samples.
+
+    Four ways compete, output by output: the population's mean as it is, an offset and a
+    gain, the population's mean and covariance with the new samples at several weights,
+    and least squares of the new samples alone. Each is judged by free runs on blocks of
+    the new samples that it has not seen, and by how it served donors that were
+    calibrated from as many samples; the more samples, the less the donors count.
+
+    Args:
+        prior: What was learnt from the fleet.
+        few: Records of the engine, with the channels of the prior's network. Of every
+            record the first `prior.warm_up` samples count nowhere, as filtered inputs
+            remember there what nobody measured, unless no others are left.
+
+    Returns:
+        `value` is the network, with prediction intervals where the prior's has some. In
+        `stats`: `way` and `weight` by output, `scores` (kind of way: expected NRMSE by
+        output), `samples`, `distance` of the engine from the population (Mahalanobis)
+        with what is `expected` of a member and the `probability` of one as far,
+        `unusual` coefficients (name: deviations from the mean), `learnt`, the share of
+        the population's variance that the samples have removed, and `coefficients`, in
+        the units of the prior. Status `ok`; `too_short` where no sample counts (the
+        value is the population's mean); `unidentifiable` where the samples tell nothing
+        of any coefficient, their inputs being constant, say, and the outputs at their
+        mean; `diverged` where the run leaves its bounds and the mean is returned.
+
+    Raises:
+        DataError, SpecError: records that are none of such an engine.
+
+    Example:
+        prior = jnx.fleet.learn({"one": data, "other": data}, network).value
+        found = jnx.fleet.calibrate(prior, data)
+        print(found.stats["way"], found.stats["distance"])
+    """
+    runs = skip_begin(prepare(prior.network, few), prior.warm_up)
+    counted = np.asarray(runs.scored, int).sum(axis=(0, 1))
+    if not counted.any():
+        text = (
+            f"no sample counts behind {prior.network.before} of history; the mean of "
+            "the fleet is returned"
+        )
+        return Solution(prior.network, RESULTS.too_short, {"samples": counted}, text)
+    found = _Estimate.of(prior, runs)
+    value = prior.coefficients.place(jnp.asarray(found.chosen))
+    stats = _stats(prior, found, counted)
+    after = found.about(found.chosen)
+    if not np.all(np.isfinite(after.square)) or _worse(after, found):
+        text = "calibrated, the free run leaves its bounds; the mean is returned"
+        return Solution(prior.network, RESULTS.diverged, stats, text)
+    value = _with_intervals(prior, value, found)
+    told = _describe(prior, found, stats)
+    if stats["learnt"] < MOVED:
+        text = "the samples tell nothing of any coefficient; " + told
+        return Solution(value, RESULTS.unidentifiable, stats, text)
+    return Solution(value, RESULTS.ok, stats, told)
+
+
+@guard_arguments
+def calibrate_each(
+    prior: FleetPrior, engines: Mapping[str, Dataset | DataError]
+) -> dict[str, Solution[Network]]:
+    """`calibrate` for many new engines, by name; any number compiles once.
+
+    An engine whose records are none of such an engine has the population's mean, the
+    status `nonfinite_data`, and what is wrong as `detail`: it stops none of the others.
+
+    Example:
+        prior = jnx.fleet.learn({"one": data, "other": data}, network).value
+        found = jnx.fleet.calibrate_each(prior, {"new": data})
+        print(found["new"].status_name)
+    """
+    found = {}
+    for name in engines:
+        try:
+            data = engines[name]
+            if isinstance(data, DataError):
+                raise data
+            found[str(name)] = calibrate(prior, data)
+        except (DataError, SpecError) as error:
+            found[str(name)] = Solution(
+                prior.network, RESULTS.nonfinite_data, {}, str(error)
+            )
+    return found
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Estimate:
+    """The ways of calibrating one engine, and the one that is chosen."""
+
+    prior: FleetPrior
+    runs: Prepared
+    part: Int[jax.Array, "records time"]
+    first: Information
+    score: Float[np.ndarray, "ways outputs"]
+    way: Int[np.ndarray, " outputs"]
+    chosen: Float[np.ndarray, " params"]
+
+    @classmethod
+    def of(cls, prior: FleetPrior, runs: Prepared) -> "_Estimate":
+        """Score all ways about the population's mean, then follow the best."""
+        params = len(prior.coefficients.free)
+        zero = np.zeros(params)
+        edges, blocks = _blocks(runs)
+        part = jax.device_put(parts_of(runs, edges))
+        sums = gather_information(prior.coefficients, zero, runs, part, BLOCKS)
+        sums = Information(*map(np.asarray, sums))
+        total = sums.total()
+        noise = np.asarray(prior.population.noise)
+        colour = np.asarray(prior.population.colour)
+        rivals = prior.rivals
+        samples = np.asarray(total.samples)
+        donors = at_samples(prior.rungs, prior.ladder, float(samples.max()))
+        if blocks > 1:
+            own = judge_by_blocks(rivals, sums, zero, noise, blocks)
+            own = np.log(np.maximum(own / prior.output_spread, 1e-12))
+        else:
+            own = donors
+        way, score = choose(rivals, donors, own, samples, colour)
+        given = cls(prior, runs, part, total, score, way, zero)
+        at, about = zero, total
+        for _ in range(PASSES):
+            moved = given._combined(about, at, rivals, way)
+            if np.max(np.abs(moved - at), initial=0.0) < MOVED:
+                break
+            after = given.about(moved)
+            if _linear(about, after, moved - at) or not np.all(
+                np.isfinite(after.square)
+            ):
+                at = moved
+                break
+            at, about = moved, after
+        return dataclasses.replace(given, chosen=at)
+
+    def about(self, v: Float[np.ndarray, " params"]) -> Information:
+        """The sums of all samples about these coefficients."""
+        own = self.prior.coefficients
+        found = gather_information(own, v, self.runs, self.part, BLOCKS)
+        return Information(*map(np.asarray, found)).total()
+
+    def _combined(self, about: Information, at, rivals, way) -> np.ndarray:
+        """Coefficients of every output by its own way."""
+        noise = np.asarray(self.prior.population.noise)
+        one = Information(*(np.asarray(a)[None] for a in about))
+        given = rivals.weight, rivals.mean, rivals.root
+        found = np.asarray(estimate_each(one, at, 1.0 / noise, *given))[0]
+        owner = outputs_of(self.prior.coefficients)
+        # Hidden channels go with the output that is worst without them: the first.
+        owner = np.where(owner < len(way), owner, 0)
+        return found[way[owner], np.arange(found.shape[1])]
+
+
+def _linear(before: Information, after: Information, step: np.ndarray) -> bool:
+    """Whether the loss is what the sums before expected of the step."""
+    return np.allclose(before.loss(step), after.square, rtol=1e-3, atol=1e-12)
+
+
+def _worse(after: Information, found: _Estimate) -> bool:
+    """Whether the new samples themselves are far worse than by the mean."""
+    before = np.asarray(found.first.square)
+    return bool(np.any(np.asarray(after.square) > 10.0 * before + 1e-9))
+
+
+def _blocks(runs: Prepared) -> tuple[tuple[int, ...], int]:
+    """Numbers of samples before the edges of the blocks, and how many there are."""
+    samples = int(np.asarray(runs.scored).any(axis=2).sum())
+    blocks = min(BLOCKS, max(1, samples // FEWEST_SAMPLES_PER_BLOCK))
+    edges = [round(samples * b / blocks) for b in range(1, blocks)]
+    return tuple(edges), blocks
+
+
+def _stats(
+    prior: FleetPrior, found: _Estimate, counted: Int[np.ndarray, " outputs"]
+) -> dict[str, Any]:
+    names, rivals = prior.network.output_names, prior.rivals
+    kinds = np.array(rivals.kinds)
+    scores = {
+        kind: dict(zip(names, np.exp(s / 2).tolist(), strict=True))
+        for kind in KINDS
+        for s in [found.score[kinds == kind].min(axis=0)]
+    }
+    one = Information(*(np.asarray(a)[None] for a in found.first))
+    zero = np.zeros((1, len(prior.coefficients.free)))
+    square, freedom = squared_distances(one, zero, prior.population)
+    square, freedom = float(square[0]), float(freedom[0])
+    own = _own(prior, found.first)
+    spread = np.maximum(prior.spread(), 1e-12)
+    unusual = own.mean / spread
+    order = np.argsort(-np.abs(unusual))[:NAMED]
+    labels = names_of(prior.coefficients)
+    before = np.trace(np.asarray(prior.population.covariance))
+    return {
+        "way": {n: rivals.kinds[w] for n, w in zip(names, found.way, strict=True)},
+        "weight": {
+            n: float(rivals.weight[w]) for n, w in zip(names, found.way, strict=True)
+        },
+        "scores": scores,
+        "samples": dict(zip(names, counted.tolist(), strict=True)),
+        "distance": float(np.sqrt(max(square, 0.0))),
+        "expected": float(np.sqrt(freedom)),
+        "probability": float(scipy.stats.chi2.sf(square, max(freedom, 1.0))),
+        "unusual": {labels[n]: round(float(unusual[n]), 2) for n in order.tolist()},
+        "learnt": float(1 - np.trace(own.covariance) / before) if before > 0 else 0.0,
+        "coefficients": found.chosen,
+    }
+
+
+def _own(prior: FleetPrior, sums: Information):
+    """Mean and covariance of the engine's coefficients; colour counts."""
+    population = prior.population
+    precision = 1.0 / (population.noise * population.colour)
+    root = root_of(np.asarray(population.covariance))
+    found = posterior(sums, np.zeros(len(root)), precision, population.mean, root)
+    return type(found)(*map(np.asarray, found))
+
+
+def _describe(prior: FleetPrior, found: _Estimate, stats: dict[str, Any]) -> str:
+    """What was chosen, and how far the engine is from the fleet."""
+    chosen = [f"{name}: {way}" for name, way in stats["way"].items()]
+    far = ""
+    if stats["probability"] < FOREIGN_PROBABILITY:
+        far = (
+            f"; the engine is {stats['distance']:.1f} deviations from the fleet, "
+            f"expected about {stats['expected']:.1f}: it may be none of it, by "
+            + list_names(list(stats["unusual"]))
+        )
+    number = int(max(stats["samples"].values()))
+    return f"{count(number, 'sample')}; {', '.join(chosen)}{far}"
+
+
+def _with_intervals(prior: FleetPrior, value: Network, found: _Estimate) -> Network:
+    """Intervals of donors by their own coefficients, wider by what donors that were
+    calibrated from as many samples erred more."""
+    errors = prior.network.errors
+    if errors is None:
+        return value
+    samples = float(np.asarray(found.first.samples).max())
+    table = at_samples(prior.rungs, prior.ladder, samples)
+    own = table[found.way, np.arange(len(found.way))]
+    wider = np.maximum(own - np.log(prior.left / prior.output_spread), 0.0) / 2
+    constant = np.asarray(errors.constant) + wider
+    new = dataclasses.replace(
+        errors, constant=jnp.asarray(constant, errors.constant.dtype)
+    )
+    return dataclasses.replace(value, errors=new)
