@@ -55,6 +55,8 @@ JUDGED_DONORS = 128
 """Donors that are calibrated by the others."""
 FOLDS = 4
 """Parts of the donors that are left out together."""
+INTERVAL_GROUPS = 8
+"""The same for the sizes of errors."""
 FOLD_STEPS = 10
 """Steps of the EM algorithm without a part, from those with all."""
 PASSES = 3
@@ -411,7 +413,9 @@ def _with_domain(
         network = fit_domain(network, together)
     except JaxnarxError:
         return network
-    return fit_error_model(network, together, run=join_runs(runs))
+    groups = _engine_groups(together, INTERVAL_GROUPS)
+    known = {"groups": groups} if len(groups) > 1 else {}
+    return fit_error_model(network, together, run=join_runs(runs), **known)
 
 
 def _left(found: Screened, sums: Pass) -> Float[np.ndarray, " outputs"]:

@@ -14,6 +14,8 @@ from jaxnarx.models._assemble import set_ranges as set_ranges
 from jaxnarx.models._assemble import training_bounds as training_bounds
 from jaxnarx.models._combine_outputs import combine_outputs as combine_outputs
 from jaxnarx.models._combine_outputs import hidden_names as hidden_names
+from jaxnarx.models._split_outputs import NetworkPart as NetworkPart
+from jaxnarx.models._split_outputs import split_outputs as split_outputs
 from jaxnarx.models._total import total as total
 from jaxnarx.models.domain import LARGEST_INDEX as LARGEST_INDEX
 from jaxnarx.models.domain import LAYERS as LAYERS
@@ -180,6 +182,7 @@ __all__ = [
     "scheduling_values",
     "set_nan_policy",
     "sources",
+    "split_outputs",
     "state_space",
     "term_values",
     "total",

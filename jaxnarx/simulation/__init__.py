@@ -19,6 +19,7 @@ from jaxnarx.simulation.outputs import free_run as free_run
 from jaxnarx.simulation.outputs import predict_ahead as predict_ahead
 from jaxnarx.simulation.outputs import ready as ready
 from jaxnarx.simulation.outputs import residual as residual
+from jaxnarx.simulation.outputs import run_parts as run_parts
 from jaxnarx.simulation.outputs import run_status as run_status
 from jaxnarx.simulation.outputs import scaled_run as scaled_run
 from jaxnarx.simulation.outputs import stack as stack

@@ -18,11 +18,19 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.errors import SpecError
-from jaxnarx.models import HOLD, Network, overshoot, overshoot_decay, within_margin
+from jaxnarx.models import (
+    HOLD,
+    Network,
+    collapses,
+    overshoot,
+    overshoot_decay,
+    split_outputs,
+    within_margin,
+)
 from jaxnarx.simulation._prepared import Prepared
 from jaxnarx.simulation.masks import first_anchor
 from jaxnarx.simulation.observer import begin_hidden, observe_hidden
-from jaxnarx.simulation.runs import run, run_steps
+from jaxnarx.simulation.runs import RunInputs, run, run_steps
 from jaxnarx.simulation.trajectories import has_diverged, limited_samples
 from jaxnarx.solution import STATUS_NAMES
 
@@ -65,6 +73,31 @@ def scaled_run(
 ) -> Float[Array, "records time computed"]:
     """All that the free run computes, hidden channels too, scaled by their gains."""
     return run(network, start_hidden(network, runs).drive, first_anchor(runs))
+
+
+def run_parts(
+    network: Network, runs: Prepared
+) -> Float[Array, "records time computed"]:
+    """`scaled_run` on the host: outputs that do not look at one another run by
+    themselves where one loop for all would evaluate every term at every sample."""
+    parts = [] if collapses(network) else split_outputs(network)
+    if len(parts) < 2:
+        return scaled_run(network, runs)
+    drive = runs.drive
+    whole = np.array(drive.measured)
+    for part, computed, rows in parts:
+        at = [0, *(1 + rows).tolist()]
+        if drive.v.shape[1] > 1 + len(network.variables):
+            at += (1 + len(network.variables) + rows).tolist()
+        own = RunInputs(
+            drive.v[:, np.array(at)],
+            tuple(drive.x[n] for n in computed.tolist()),
+            drive.measured[..., computed],
+            drive.known[..., computed],
+        )
+        some = dataclasses.replace(runs, drive=own, origin=None)
+        whole[..., computed] = np.asarray(scaled_run(part, some))
+    return jax.device_put(whole)
 
 
 def start_hidden(network: Network, runs: Prepared) -> Prepared:

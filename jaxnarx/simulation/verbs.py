@@ -16,7 +16,7 @@ from jaxnarx.simulation._prepared import (
     stack_fitting,
 )
 from jaxnarx.simulation.observer import observe_hidden
-from jaxnarx.simulation.outputs import scaled_run
+from jaxnarx.simulation.outputs import run_parts
 from jaxnarx.simulation.runs import run_steps
 from jaxnarx.simulation.trajectories import Trajectories, make_trajectories
 from jaxnarx.solution import RESULTS, STATUS_NAMES, Solution
@@ -135,7 +135,7 @@ def simulate(
         runs, origin = ensure_prepared(
             network, prepare_stacked(network, records, matched, batch)
         )
-    scaled, masks = scaled_run(network, runs), origin.masks
+    scaled, masks = run_parts(network, runs), origin.masks
     matched = origin.matched
     value = make_trajectories(
         network, matched, origin.batch, scaled, masks.scored, masks.first, gaps=gaps

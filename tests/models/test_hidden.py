@@ -17,7 +17,14 @@ from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation import cost, local_behaviour
 from jaxnarx.linear import adapt
-from jaxnarx.models import Network, combine_outputs, drop_outputs, load, save
+from jaxnarx.models import (
+    Network,
+    combine_outputs,
+    drop_outputs,
+    load,
+    save,
+    split_outputs,
+)
 from jaxnarx.regressors import Variables
 from jaxnarx.shell import cli
 from jaxnarx.simulation import (
@@ -25,7 +32,10 @@ from jaxnarx.simulation import (
     make_drive,
     make_masks,
     match_records,
+    prepare,
     run,
+    run_parts,
+    scaled_run,
     simulate,
 )
 
@@ -133,6 +143,20 @@ def test_merged_networks_run_as_their_parts():
         own = [o, 2 + 2 * o, 3 + 2 * o]
         np.testing.assert_allclose(found[..., own], alone, atol=1e-9)
         np.testing.assert_array_equal(scored[..., o], counted[..., 0])
+
+
+def test_what_was_combined_is_split_again_and_runs_the_same():
+    parts = [part(1), named("by inputs")]
+    whole = combine_outputs(parts)
+    assert [len(p.computed) for p in split_outputs(whole)] == [3, 1]
+    for one, own in zip(split_outputs(whole), parts, strict=True):
+        assert one.network.equations() == own.equations()
+    runs = prepare(whole, truth().data)
+    apart, together = run_parts(whole, runs), scaled_run(whole, runs)
+    counted = np.asarray(runs.scored).any(axis=2)
+    np.testing.assert_allclose(
+        np.asarray(apart)[counted], np.asarray(together)[counted], atol=1e-8
+    )
 
 
 def test_merged_takes_the_longest_window_and_parts_without_hidden_channels():
