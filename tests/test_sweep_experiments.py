@@ -99,3 +99,18 @@ def test_sweep_benchmark(tmp_path):
     scores = [row["median_nrmse"] for row in (one, side_by_side)]
     np.testing.assert_allclose(*scores, rtol=1e-3)  # four digits are kept
     assert 0 < one["median_nrmse"] < one["median_start"] < 1
+
+
+@pytest.mark.slow
+def test_fleet_calibration(tmp_path):
+    given = "--results", str(tmp_path), "--beds", "vct"
+    experiment("fleets/calibration.py", *given)
+    figures = json.loads((tmp_path / "fleet_calibration.json").read_text())["figures"]
+    (table,) = figures["beds"]["vct"].values()
+    for said in ("like the donors", "another excitation"):
+        assert set(table[said]) == {"10", "20", "500"}
+        rows = table[said]["20"]
+        assert rows["automatic"]["median"] < rows["own fit"]["median"]
+    experiment("fleets/calibration.py", *given, "--many")
+    many = json.loads((tmp_path / "fleet_donors.json").read_text())["figures"]
+    assert set(many["by donors"]) == {"8", "16"}

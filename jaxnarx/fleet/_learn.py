@@ -414,8 +414,8 @@ def _with_domain(
     except JaxnarxError:
         return network
     groups = _engine_groups(together, INTERVAL_GROUPS)
-    known = {"groups": groups} if len(groups) > 1 else {}
-    return fit_error_model(network, together, run=join_runs(runs), **known)
+    known = groups if len(groups) > 1 else None
+    return fit_error_model(network, together, groups=known, run=join_runs(runs))
 
 
 def _left(found: Screened, sums: Pass) -> Float[np.ndarray, " outputs"]:
