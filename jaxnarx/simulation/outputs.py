@@ -6,7 +6,7 @@ policy of the network is to say nothing, the verbs `simulate` and `predict` do.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -80,11 +80,32 @@ def run_parts(
 ) -> Float[Array, "records time computed"]:
     """`scaled_run` on the host: outputs that do not look at one another run by
     themselves where one loop for all would evaluate every term at every sample."""
-    parts = [] if collapses(network) else split_outputs(network)
-    if len(parts) < 2:
+    if collapses(network):
         return scaled_run(network, runs)
-    drive = runs.drive
-    whole = np.array(drive.measured)
+    return by_parts(network, runs, lambda *own: (scaled_run(*own),))[0]
+
+
+def predict_parts(
+    network: Network, runs: Prepared, k: int
+) -> tuple[Float[Array, "records time computed"], Bool[Array, "records time computed"]]:
+    """`run_steps` on the host, likewise; hidden channels are observed before."""
+    steps = jax.device_put(np.asarray(k))
+
+    def one(network: Network, runs: Prepared):
+        return run_steps(network, observe_hidden(network, runs.drive), steps)
+
+    if not network.hidden:
+        return one(network, runs)
+    return by_parts(network, runs, one)
+
+
+def by_parts(network: Network, runs: Prepared, function: Callable) -> tuple:
+    """Arrays (records, time, computed) that `function` makes of a network and its runs,
+    from every part of the network by itself."""
+    parts = split_outputs(network)
+    if len(parts) < 2:
+        return function(network, runs)
+    drive, found = runs.drive, None
     for part, computed, rows in parts:
         at = [0, *(1 + rows).tolist()]
         if drive.v.shape[1] > 1 + len(network.variables):
@@ -95,9 +116,14 @@ def run_parts(
             drive.measured[..., computed],
             drive.known[..., computed],
         )
-        some = dataclasses.replace(runs, drive=own, origin=None)
-        whole[..., computed] = np.asarray(scaled_run(part, some))
-    return jax.device_put(whole)
+        some = function(part, dataclasses.replace(runs, drive=own, origin=None))
+        if found is None:
+            shape = drive.measured.shape
+            found = [np.zeros(shape, np.asarray(one).dtype) for one in some]
+        for whole, one in zip(found, some, strict=True):
+            whole[..., computed] = np.asarray(one)
+    assert found is not None
+    return tuple(jax.device_put(found))
 
 
 def start_hidden(network: Network, runs: Prepared) -> Prepared:

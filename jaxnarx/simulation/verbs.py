@@ -1,6 +1,5 @@
 """Run a network: k steps ahead from measured history, or freely on its own outputs."""
 
-import jax
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
@@ -15,9 +14,7 @@ from jaxnarx.simulation._prepared import (
     prepare_stacked,
     stack_fitting,
 )
-from jaxnarx.simulation.observer import observe_hidden
-from jaxnarx.simulation.outputs import run_parts
-from jaxnarx.simulation.runs import run_steps
+from jaxnarx.simulation.outputs import predict_parts, run_parts
 from jaxnarx.simulation.trajectories import Trajectories, make_trajectories
 from jaxnarx.solution import RESULTS, STATUS_NAMES, Solution
 
@@ -173,8 +170,7 @@ def predict(
         raise SpecError(f"k must be at least 1, got {k}", field="k")
     runs, origin = ensure_prepared(network, data)
     matched, masks = origin.matched, origin.masks
-    drive = observe_hidden(network, runs.drive)
-    scaled, held = run_steps(network, drive, jax.device_put(np.asarray(k)))
+    scaled, held = predict_parts(network, runs, k)
     ready = np.zeros_like(masks.anchors)
     ready[:, k - 1 :] = masks.anchors[:, : max(ready.shape[1] - k + 1, 0)]
     scored = masks.scored & ready[:, :, None]

@@ -32,6 +32,7 @@ from jaxnarx.simulation import (
     make_drive,
     make_masks,
     match_records,
+    predict,
     prepare,
     run,
     run_parts,
@@ -154,6 +155,13 @@ def test_what_was_combined_is_split_again_and_runs_the_same():
     runs = prepare(whole, truth().data)
     apart, together = run_parts(whole, runs), scaled_run(whole, runs)
     counted = np.asarray(runs.scored).any(axis=2)
+    ahead = predict(whole, truth().data, 3).value
+    for n, one in enumerate(parts):
+        alone = predict(one, truth().data, 3).value
+        for a, b, s in zip(ahead.outputs, alone.outputs, alone.scored, strict=True):
+            rows = np.flatnonzero(s[:, 0])[: len(a)]
+            rows = rows[rows >= whole.before + 3]
+            np.testing.assert_allclose(a[rows, n], b[rows, 0], atol=1e-6)
     np.testing.assert_allclose(
         np.asarray(apart)[counted], np.asarray(together)[counted], atol=1e-8
     )
