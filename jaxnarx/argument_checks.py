@@ -90,9 +90,12 @@ def is_fit(value: Any, wanted: Any) -> bool:
     if origin is collections.abc.Callable:
         return callable(value) and not isinstance(value, type)
     if origin in (collections.abc.Mapping, dict):
-        return isinstance(value, collections.abc.Mapping) and all(
-            is_fit(k, inner[0]) and is_fit(each, inner[1]) for k, each in value.items()
-        )
+        if not isinstance(value, collections.abc.Mapping):
+            return False
+        if inner[1] is Any:  # one that reads files is not asked for any
+            return all(is_fit(k, inner[0]) for k in value)
+        pairs = value.items()
+        return all(is_fit(k, inner[0]) and is_fit(v, inner[1]) for k, v in pairs)
     if origin in _COLLECTION_KINDS or origin is tuple and inner[-1] is ...:
         return _is_several(value, inner[0]) and all(is_fit(e, inner[0]) for e in value)
     if hasattr(wanted, "array_type"):

@@ -25,6 +25,7 @@ import jax
 import numpy as np
 
 import jaxnarx as jnx
+from jaxnarx.data import thin_records
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from common import (  # noqa: E402 # pyright: ignore[reportMissingImports]
@@ -44,6 +45,8 @@ REFERENCES = {
 """RMSE pooled over the test records."""
 AIM = 0.215
 """Mean NRMSE over the outputs that the search shall reach."""
+ONE_STEP_SAMPLES = 6_000
+"""Test samples whose one-step prediction is judged."""
 NEAR = 1.03
 """Multiple of the figure reached by hand that counts as no worse."""
 
@@ -59,17 +62,19 @@ def shown(event: dict[str, Any]) -> None:
 
 
 def errors(network: jnx.Network, data: jnx.Dataset) -> dict[str, dict[str, Any]]:
-    """One step and free run by output, pooled over the records."""
+    """One step and free run by output, pooled over the records; one step on stretches
+    of them, as hidden states are estimated anew for every sample of it."""
+    some = thin_records(data, ONE_STEP_SAMPLES)
     runs = {
-        "one_step": jnx.predict(network, data),
-        "free_run": jnx.simulate(network, data),
+        "one_step": (some, jnx.predict(network, some)),
+        "free_run": (data, jnx.simulate(network, data)),
     }
     out: dict[str, dict[str, Any]] = {name: {} for name in network.output_names}
-    for mode, run in runs.items():
+    for mode, (records, run) in runs.items():
         for k, (o, name) in enumerate(
             zip(network.modelled, network.output_names, strict=True)
         ):
-            parts = zip(data, run.value.outputs, run.value.scored, strict=True)
+            parts = zip(records, run.value.outputs, run.value.scored, strict=True)
             pairs = [(r.y[:, o][s[:, k]], y[:, k][s[:, k]]) for r, y, s in parts]
             y, yhat = (np.concatenate(part) for part in zip(*pairs, strict=True))
             rmse = float(np.sqrt(np.mean((y - yhat) ** 2)))

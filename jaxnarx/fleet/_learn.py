@@ -65,6 +65,8 @@ LINEAR_SHARE = 1e-3
 """Share of the loss by which it may differ from what was expected to first order."""
 PROBED_DONORS = 8
 """Donors by whose runs that is judged."""
+SEARCH_FOLDER = "search"
+"""Folder of the search for a structure, in that of the sums."""
 BOUND_WIDTHS = 10.0
 """Bounds of what is fed back, in widths of the donors' ranges."""
 
@@ -104,7 +106,8 @@ def learn(
             where hidden states are.
         preset: Of the search, see `jnx.identify`.
         rungs: Numbers of samples, rising, by which donors are calibrated.
-        folder: Folder that keeps the sums of every donor: the same call goes on there.
+        folder: Folder that keeps a search and the sums of every donor: the same call
+            goes on there. It is for the same records: what they hold is not compared.
         progress: A function called with `verb` `"learn"`, the `pass` and how many
             donors are `done` `of` how many.
 
@@ -129,7 +132,8 @@ def learn(
     pooled = _pool(donors, names)
     base = network
     if not isinstance(base, Network):
-        base = _choose_structure(pooled, base, preset, progress)
+        search = None if folder is None else Path(folder) / SEARCH_FOLDER
+        base = _choose_structure(pooled, base, preset, search, progress)
     base = _widened(base, pooled)
     varied = bool(base.hidden) if feedback is None else feedback
     own = choose_coefficients(base, gates=gates, feedback=varied)
@@ -215,6 +219,7 @@ def _choose_structure(
     pooled: Dataset,
     method: Identification | None,
     preset: str,
+    folder: Path | None,
     progress: Progress | None,
 ) -> Network:
     """The structure of all engines, judged on engines left out."""
@@ -222,7 +227,8 @@ def _choose_structure(
         return identify(pooled, method, progress=progress).value
     groups = _engine_groups(pooled)
     given: dict[str, Any] = {"groups": groups} if len(groups) > 1 else {}
-    return identify(pooled, preset=preset, progress=progress, **given).value
+    given |= {"preset": preset, "folder": folder, "progress": progress}
+    return identify(pooled, **given).value
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

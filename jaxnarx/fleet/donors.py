@@ -34,9 +34,10 @@ KEY_FILE = "fleet.json"
 CHUNK = 64
 """Donors whose sums are in one program."""
 
-Donors = Mapping[str, Dataset | DataError]
-"""Records of donors by name, or the error that there are none; one is asked for when it
-is needed, so that a mapping which reads files holds one at a time."""
+Donors = Mapping[str, Any]
+"""Records of donors by name, each a `Dataset` or the `DataError` that there is none;
+one is asked for when it is needed, so that a mapping which reads files holds one at a
+time."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -61,6 +61,10 @@ def _run(command: commands.Command, typed: str) -> int:
         return _sweep(command)
     if isinstance(command, commands.Simulate):
         return _simulate(command)
+    if isinstance(
+        command, commands.FleetLearn | commands.FleetCalibrate | commands.FleetReport
+    ):
+        return _fleet(command)
     return _report(command, typed)
 
 
@@ -346,6 +350,18 @@ def _sweep(command: commands.Sweep) -> int:
 
     sweep(command)
     return 0
+
+
+def _fleet(
+    command: commands.FleetLearn | commands.FleetCalibrate | commands.FleetReport,
+) -> int:
+    from jaxnarx.shell import fleet
+
+    if isinstance(command, commands.FleetLearn):
+        return fleet.fleet_learn(command)
+    if isinstance(command, commands.FleetCalibrate):
+        return fleet.fleet_calibrate(command)
+    return fleet.fleet_report(command)
 
 
 def _report(command: commands.Report, typed: str) -> int:

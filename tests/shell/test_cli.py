@@ -228,16 +228,15 @@ def test_help_lists_every_key_of_a_description(capsys):
 
 
 def test_the_commands_are_listed_by_task_on_one_screen(capsys):
-    assert [name for names in TASK_COMMANDS.values() for name in names] == list(
-        COMMANDS
-    )
+    words = list(dict.fromkeys(name.split()[0] for name in COMMANDS))
+    assert [name for names in TASK_COMMANDS.values() for name in names] == words
     assert run(["--help"]) == 0
     text = capsys.readouterr().out
     lines = text.splitlines()
     assert len(lines) < 24 and max(map(len, lines)) <= 80
-    rows = lines[4:-4]
+    rows = lines[3:-4]
     assert [row[:10].strip() for row in rows if row[0] != " "] == list(TASK_COMMANDS)
-    assert [row[10:27].strip() for row in rows] == list(COMMANDS)
+    assert [row[10:27].strip() for row in rows] == words
     assert all(row[27:].endswith(".") for row in rows)
     assert "130 interrupted" in text and "1 model not usable" in text
     assert run([]) == 2

@@ -9,6 +9,9 @@ import re
 from typing import get_args
 
 from jaxnarx.settings import DESCRIPTION
+from jaxnarx.shell.commands.fleet import FleetCalibrate as FleetCalibrate
+from jaxnarx.shell.commands.fleet import FleetLearn as FleetLearn
+from jaxnarx.shell.commands.fleet import FleetReport as FleetReport
 from jaxnarx.shell.commands.identify import Demo as Demo
 from jaxnarx.shell.commands.identify import Identify as Identify
 from jaxnarx.shell.commands.identify import Invert as Invert
@@ -28,8 +31,10 @@ from jaxnarx.shell.commands.use import Simulate as Simulate
 
 
 def _kebab(name: str) -> str:
-    """A class name as it is typed: `SimulateEngine` is `simulate-engine`."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
+    """A class name as it is typed: `SimulateEngine` is `simulate-engine`, and
+    `FleetLearn` is `fleet learn`."""
+    typed = re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
+    return typed.replace("fleet-", "fleet ")
 
 
 Command = (
@@ -48,6 +53,9 @@ Command = (
     | Export
     | ImportDcm
     | Sweep
+    | FleetLearn
+    | FleetCalibrate
+    | FleetReport
 )
 _DESCRIPTION_COMMANDS = (Identify, Invert, Report, Prepare)
 _DESCRIPTION_POINTER = "All keys of a description of records: `jaxnarx check --help`."

@@ -25,11 +25,11 @@ TASK_COMMANDS = {
     },
     "research": {
         "sweep": "Identify many engines under many settings.",
+        "fleet": "Learn from many engines; calibrate a new one.",
     },
 }
 """Every command in one line, under the task that it belongs to."""
 OVERVIEW_HEAD = """usage: jaxnarx COMMAND [OPTIONS]
-
 Identify engines from measurements as NARX networks with regional models.
 """
 OVERVIEW_FOOT = """

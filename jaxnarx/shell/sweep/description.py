@@ -86,10 +86,12 @@ class SweepDescription:
     method: Identification
     cases: tuple[Case, ...]
     folder: Path
+    method_given: bool = True
 
 
-def load_sweep(path: Path) -> SweepDescription:
-    """Parse a description. What is wrong in it is a DataFileError naming file and key.
+def load_sweep(path: Path, *, needed: bool = True) -> SweepDescription:
+    """Parse a description. What is wrong in it is a DataFileError naming file and key;
+    without `needed` it may lack an identification.
 
     Points at random are drawn here, so the same file gives the same sweep.
     """
@@ -106,11 +108,13 @@ def load_sweep(path: Path) -> SweepDescription:
                         field=key,
                     )
             data = _data(_section(table, "data"))
-            method = from_dict(Identification, _section(table, "identification"))
+            given = "identification" in table
+            settings = _section(table, "identification", None if needed else {})
+            method = from_dict(Identification, settings)
             cases = tuple(_cases(table))
             for case in cases:
                 replace_at(method, case)  # what does not fit is said now
-            return SweepDescription(data, method, cases, path.parent)
+            return SweepDescription(data, method, cases, path.parent, given)
         except SpecError as error:
             raise DataFileError(f"{path}: {error}", path=path) from error
 

@@ -25,6 +25,13 @@ def make_fleet(description: SweepDescription) -> Fleet:
 
 
 def _simulate(data: Relatives) -> Fleet:
+    """A fleet of relatives of a bed."""
+    train, validate, test = RECORD_PARTS
+    found = simulate_relatives(data)
+    return Fleet.from_datasets(found, train=train, validation=validate, test=test)
+
+
+def simulate_relatives(data: Relatives) -> dict[str, Dataset | DataError]:
     """Engines under the same excitation; one that stalls has no data but a reason."""
     if data.bed not in BEDS:
         raise SpecError(
@@ -52,14 +59,15 @@ def _simulate(data: Relatives) -> Fleet:
             say(f"  engine {n:04d} is left out: {error}")
             return error
 
-    found = {f"{data.bed}-{n:04d}": simulate_relative(n) for n in range(data.count)}
+    found: dict[str, Dataset | DataError] = {
+        f"{data.bed}-{n:04d}": simulate_relative(n) for n in range(data.count)
+    }
     if not any(isinstance(d, Dataset) for d in found.values()):
         raise DataError(
             f"none of the {data.count} relatives of {data.bed} runs; use a smaller "
             "spread"
         )
-    train, validate, test = RECORD_PARTS
-    return Fleet.from_datasets(found, train=train, validation=validate, test=test)
+    return found
 
 
 def _read(data: Measured, folder: Path) -> Fleet:

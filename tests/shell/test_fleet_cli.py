@@ -1,0 +1,101 @@
+"""`jaxnarx fleet`: learn from files, calibrate, report; what is wrong with either."""
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fleet_problems import coefficients, donors, engine
+
+import jaxnarx as jnx
+from jaxnarx.shell.cli import run
+
+DONOR = """
+[data]
+sample_time = 0.1
+[channels.inputs]
+u = ""
+[channels.outputs]
+y = ""
+[records]
+train = ["{name}.csv"]
+"""
+FLEET = """
+[data]
+engines = ["engines/*.toml"]
+[identification]
+refine = "none"
+[identification.pool]
+outputs = ["y"]
+input_lags = [1, 2]
+output_lags = []
+degree = 2
+"""
+
+
+def write(data: jnx.Dataset, path: Path) -> None:
+    """Records as a table with a header."""
+    table = np.column_stack([data.records[0].u, data.records[0].y])
+    np.savetxt(path, table, delimiter=",", header="u,y", comments="")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a dozen donors, one of them without a file, and a new engine."""
+    folder = tmp_path_factory.mktemp("fleet")
+    (folder / "engines").mkdir()
+    for n, (name, data) in enumerate(list(donors().items())[:12]):
+        slug = name.replace(" ", "")
+        write(data, folder / "engines" / f"{slug}.csv")
+        (folder / "engines" / f"{slug}.toml").write_text(DONOR.format(name=slug))
+        if n == 3:
+            (folder / "engines" / f"{slug}.csv").unlink()
+    (folder / "line.toml").write_text(FLEET)
+    write(engine(coefficients(1, 77)[0], 14, 5), folder / "new.csv")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.delenv("JAXNARX_DATA", raising=False)
+        yield folder
+
+
+@pytest.fixture
+def jaxnarx(place, capsys):
+    def jaxnarx(line: str):
+        code = run(["fleet", *shlex.split(line)])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return jaxnarx
+
+
+def test_a_fleet_is_learnt_told_and_used(jaxnarx, place):
+    code, out, err = jaxnarx("learn line.toml --out line")
+    assert code == 0, err
+    assert "12 of 12 donors, 0 remain" in out and "11 donors" in out
+    assert "engine3" in out and not (place / "line" / "sums").exists()
+    page = (place / "line" / "report.html").read_text()
+    assert "<script" not in page and "offset and gain" in page and "engine3" in page
+    code, out, err = jaxnarx("learn line.toml --out line")
+    assert code == 2 and "--force" in err
+    code, out, err = jaxnarx("calibrate line/prior.fleet new.csv --out new")
+    assert code == 0, err
+    told = json.loads((place / "new" / "calibration.json").read_text())
+    assert told["samples"] == {"y": 12} and told["way"]["y"] in out
+    network = jnx.load(place / "new" / "model.safetensors")
+    assert network.output_names == ["y"] and network.errors is not None
+    code, out, err = jaxnarx("report line/prior.fleet --out told")
+    assert code == 0 and (place / "told" / "report.html").read_text() == page
+
+
+def test_what_is_wrong_is_named(jaxnarx, place):
+    code, _, err = jaxnarx("calibrate none.fleet new.csv")
+    assert code == 3 and "none.fleet: there is no such file" in err
+    code, _, err = jaxnarx("calibrate new.csv new.csv")
+    assert code == 3 and "no fleet prior" in err
+    code, _, err = jaxnarx("")
+    assert code == 2 and "fleet learn, fleet calibrate, fleet report" in err
+    (place / "empty.toml").write_text('[data]\nengines = ["none/*.toml"]\n')
+    code, _, err = jaxnarx("learn empty.toml --out empty")
+    assert code == 3 and "no file matches" in err
+    assert not (place / "empty").exists()
