@@ -138,7 +138,7 @@ def begin_population(
     return Population(*map(jnp.asarray, (mean, covariance, noise, np.ones_like(noise))))
 
 
-def root_of(covariance: Float[np.ndarray, "params params"]) -> np.ndarray:
+def root_of(covariance: Float[Arrays, "params params"]) -> np.ndarray:
     """R with R R' the covariance."""
     value, vector = np.linalg.eigh(np.asarray(covariance))
     return vector * np.sqrt(np.maximum(value, 0.0))
