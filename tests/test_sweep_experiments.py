@@ -114,3 +114,10 @@ def test_fleet_calibration(tmp_path):
     experiment("fleets/calibration.py", *given, "--many")
     many = json.loads((tmp_path / "fleet_donors.json").read_text())["figures"]
     assert set(many["by donors"]) == {"8", "16"}
+
+
+@pytest.mark.slow
+def test_what_a_fleet_costs(tmp_path):
+    experiment("benchmarks/fleet.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "fleet.json").read_text())["figures"]
+    assert figures["broken"] == 0 and figures["engines"] == 4
