@@ -2,73 +2,48 @@
 
 import dataclasses
 import os
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import Progress
 from jaxnarx.confidence import fit_domain, fit_error_model
-from jaxnarx.data import Dataset, Groups, join
-from jaxnarx.errors import DataError, JaxnarxError, SpecError
-from jaxnarx.fleet.broken import (
-    FAR_DEVIATIONS,
-    LEAST_SPREAD,
-    Screened,
-    deviations,
-    find_broken,
-)
-from jaxnarx.fleet.coefficients import FleetCoefficients, choose_coefficients
-from jaxnarx.fleet.donors import (
-    Donors,
-    DonorTable,
-    Pass,
-    SumsShape,
-    digest,
-    gather_donors,
-    open_folder,
-    prepare_donor,
-)
-from jaxnarx.fleet.information import Information, gather_information, parts_of, warm_up
-from jaxnarx.fleet.population import Population, fit_population
-from jaxnarx.fleet.prior import FleetPrior, rivals_of
+from jaxnarx.data import Dataset
+from jaxnarx.errors import JaxnarxError, SpecError
+from jaxnarx.fleet.broken import Screened
+from jaxnarx.fleet.coefficients import choose_coefficients
+from jaxnarx.fleet.donors import Donors, Pass, digest, open_folder
+from jaxnarx.fleet.information import warm_up
+from jaxnarx.fleet.ladder import calibrate_donors
+from jaxnarx.fleet.passes import DonorWork, FittedDonors, fit_donors
+from jaxnarx.fleet.population import Population
+from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.fleet.residuals import colour_of
-from jaxnarx.fleet.rivals import Rivals, judge_by_samples
+from jaxnarx.fleet.structure import (
+    POOLED_DONORS,
+    choose_structure,
+    engine_groups,
+    pool_donors,
+    scale_coefficients,
+    widen_ranges,
+)
 from jaxnarx.formatting import count, list_names
-from jaxnarx.identification import identify
-from jaxnarx.models import Network, ranges, set_bounds
+from jaxnarx.models import Network
 from jaxnarx.refinement import attach_certificate
 from jaxnarx.settings import Identification
-from jaxnarx.simulation import Prepared, join_runs, match_records, simulate
+from jaxnarx.simulation import join_runs, simulate
 from jaxnarx.solution import RESULTS, Solution
 
 RUNGS = (10, 20, 50, 100, 200, 500)
 """Samples of a new engine for which the donors say what serves."""
-POOLED_DONORS = 64
-"""Donors whose records choose a structure, tell domain and intervals, and colour."""
-JUDGED_DONORS = 128
-"""Donors that are calibrated by the others."""
-FOLDS = 4
-"""Parts of the donors that are left out together."""
 INTERVAL_GROUPS = 8
-"""The same for the sizes of errors."""
-FOLD_STEPS = 10
-"""Steps of the EM algorithm without a part, from those with all."""
-PASSES = 3
-"""Linearisations at most, the first about the network as it was given."""
-LINEAR_SHARE = 1e-3
-"""Share of the loss by which it may differ from what was expected to first order."""
-PROBED_DONORS = 8
-"""Donors by whose runs that is judged."""
+"""Groups of engines by which the sizes of errors are cross-validated."""
 SEARCH_FOLDER = "search"
 """Folder of the search for a structure, in that of the sums."""
-BOUND_WIDTHS = 10.0
-"""Bounds of what is fed back, in widths of the donors' ranges."""
 
 
 @guard_arguments
@@ -129,21 +104,21 @@ def learn(
         raise SpecError("a fleet needs at least one donor", field="donors")
     if list(rungs) != sorted(set(rungs)) or not rungs or rungs[0] < 1:
         raise SpecError(f"rungs must rise from 1 or more, got {rungs}", field="rungs")
-    pooled = _pool(donors, names)
+    pooled = pool_donors(donors, names)
     base = network
     if not isinstance(base, Network):
         search = None if folder is None else Path(folder) / SEARCH_FOLDER
-        base = _choose_structure(pooled, base, preset, search, progress)
-    base = _widened(base, pooled)
+        base = choose_structure(pooled, base, preset, search, progress)
+    base = widen_ranges(base, pooled)
     varied = bool(base.hidden) if feedback is None else feedback
     own = choose_coefficients(base, gates=gates, feedback=varied)
     skip = warm_up(base, map(len, pooled))
-    own, spread = _scaled(own, pooled, skip)
+    own, spread = scale_coefficients(own, pooled, skip)
     place = None if folder is None else Path(folder)
     key = {"network": digest(base), "donors": names, "kind": [gates, varied]}
     open_folder(place, key)
-    work = _Work(donors, names, own, tuple(rungs), skip, place, progress)
-    fitted = _fit(work)
+    work = DonorWork(donors, names, own, tuple(rungs), skip, place, progress)
+    fitted = fit_donors(work)
     prior = _finish(
         work,
         fitted,
@@ -165,198 +140,9 @@ def learn(
     return Solution(prior, RESULTS.ok, stats, detail)
 
 
-def _pool(donors: Donors, names: list[str]) -> Dataset:
-    """Records of some donors together, each a group of its own; without those whose
-    channels, sample time, or outputs are unlike most others'."""
-    step = max(1, len(names) // POOLED_DONORS)
-    found, last = {}, None
-    for name in names[::step][:POOLED_DONORS]:
-        data = donors[name]
-        if isinstance(data, DataError):
-            last = data
-            continue
-        found[name] = data
-    if not found:
-        raise last or DataError("no donor has records")
-    kinds = {n: (*d.channels.all, round(d.sample_time, 9)) for n, d in found.items()}
-    usual = Counter(kinds.values()).most_common(1)[0][0]
-    alike = {n: d for n, d in found.items() if kinds[n] == usual}
-    parts = [
-        dataclasses.replace(
-            d,
-            records=tuple(
-                dataclasses.replace(r, name=f"{n} {r.name}", group=n) for r in d
-            ),
-        )
-        for n, d in alike.items()
-    ]
-    size = [[np.concatenate([r.y for r in d]).std(axis=0)] for d in parts]
-    size = np.log(np.maximum(np.concatenate(size), 1e-300))
-    far = np.abs(deviations(size, np.full(len(size), True), LEAST_SPREAD)).max(axis=1)
-    kept = [d for d, f in zip(parts, far.tolist(), strict=True) if f < FAR_DEVIATIONS]
-    return join(kept or parts)
-
-
-def _widened(network: Network, pooled: Dataset) -> Network:
-    """The network with ranges of all donors, and bounds that let engines differ."""
-    low, high = ranges(match_records(network, pooled))
-    kind = network.low.dtype
-    low = jnp.minimum(network.low, jnp.asarray(low, kind))
-    high = jnp.maximum(network.high, jnp.asarray(high, kind))
-    return set_bounds(dataclasses.replace(network, low=low, high=high), BOUND_WIDTHS)
-
-
-def _engine_groups(pooled: Dataset, parts: int = FOLDS) -> Groups:
-    """Engines in so many groups that are held out together."""
-    engines = list(dict.fromkeys(r.group for r in pooled))
-    parts = min(parts, len(engines))
-    place = {name: n % parts for n, name in enumerate(engines)}
-    labels = tuple(np.full(len(r), place[r.group]) for r in pooled)
-    return Groups(tuple(f"engines, part {n + 1}" for n in range(parts)), labels, True)
-
-
-def _choose_structure(
-    pooled: Dataset,
-    method: Identification | None,
-    preset: str,
-    folder: Path | None,
-    progress: Progress | None,
-) -> Network:
-    """The structure of all engines, judged on engines left out."""
-    if method is not None:
-        return identify(pooled, method, progress=progress).value
-    groups = _engine_groups(pooled)
-    given: dict[str, Any] = {"groups": groups} if len(groups) > 1 else {}
-    given |= {"preset": preset, "folder": folder, "progress": progress}
-    return identify(pooled, **given).value
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Work:
-    """Donors, and the coefficients in which they differ."""
-
-    donors: Donors
-    names: list[str]
-    own: FleetCoefficients
-    rungs: tuple[int, ...]
-    skip: int
-    folder: Path | None
-    progress: Progress | None
-
-    @property
-    def shape(self) -> SumsShape:
-        """Sizes of a donor's sums."""
-        network = self.own.layout.base
-        return SumsShape(len(network.modelled), len(self.own.free), 1)
-
-    def gather(self, number: int, at: np.ndarray, remark: dict[str, str]) -> Pass:
-        """Sums of all donors, each about its own coefficients."""
-        every = len(self.names)
-        name, row = f"pass{number}", self.shape.row
-        table = DonorTable.begin(self.folder, name, every, row)
-
-        def told(n: int) -> None:
-            if self.progress is not None:
-                event = {"verb": "learn", "pass": number + 1, "done": n + 1}
-                self.progress(event | {"of": every})
-
-        own = self.donors, self.names, self.own, at, table, self.shape, self.skip
-        gather_donors(*own, remark, told)
-        return Pass(table, self.shape, at)
-
-    def runs(self, n: int) -> Prepared:
-        """The prepared records of a donor."""
-        return prepare_donor(
-            self.own.layout.base, self.donors[self.names[n]], self.skip
-        )
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Fitted:
-    """A population, what was found about its donors, and from which sums."""
-
-    screened: Screened
-    sums: Pass
-    remark: dict[str, str]
-    passes: int
-
-
-def _fit(work: _Work) -> _Fitted:
-    """The population, from sums about the network, then about every donor's own
-    coefficients until a run loses what the last sums expect."""
-    fitted = _pass(work, 0, np.zeros((len(work.names), work.shape.params)))
-    while fitted.passes < PASSES and not _as_expected(work, fitted):
-        fitted = _pass(work, fitted.passes, fitted.screened.estimate)
-    return fitted
-
-
-def _pass(work: _Work, number: int, at: Float[np.ndarray, "donors params"]) -> _Fitted:
-    """The population from sums about these coefficients."""
-    remark: dict[str, str] = {}
-    sums = work.gather(number, at, remark)
-    there = _have_samples(sums, work.names, remark)
-    found = find_broken(sums.chunks, there, work.own.layout.base.output_names)
-    notes = remark | {work.names[n]: text for n, text in found.remark.items()}
-    return _Fitted(found, sums, notes, number + 1)
-
-
-def _have_samples(
-    sums: Pass, names: list[str], remark: dict[str, str]
-) -> Bool[np.ndarray, " donors"]:
-    """Donors of which samples count; DataError where there is none."""
-    rows = [
-        np.asarray(c[0].samples).sum(axis=1) > 0 for c in sums.chunks(sums.at[:, 0])
-    ]
-    there = np.concatenate(rows)[: len(names)]
-    for n in np.flatnonzero(~there).tolist():
-        remark.setdefault(names[n], "no sample counts")
-    if not there.any():
-        first = "; ".join(f"{n}: {t}" for n, t in list(remark.items())[:3])
-        raise DataError(f"not one donor can be run: {first}")
-    return there
-
-
-def _as_expected(work: _Work, fitted: _Fitted) -> bool:
-    """Whether runs of some donors lose what the sums of the last pass expect."""
-    estimate, sums = fitted.screened.estimate, fitted.sums
-    for n in np.flatnonzero(fitted.screened.used)[:PROBED_DONORS].tolist():
-        expected = sums.one(n).loss(estimate[n] - sums.at[n])
-        runs = work.runs(n)
-        part = jax.device_put(parts_of(runs, ()))
-        true = gather_information(work.own, estimate[n], runs, part, 1).square[0]
-        if not np.allclose(true, expected, rtol=LINEAR_SHARE):
-            return False
-    return True
-
-
-def _scaled(
-    own: FleetCoefficients, pooled: Dataset, skip: int
-) -> tuple[FleetCoefficients, Float[np.ndarray, " outputs"]]:
-    """Coefficients in units of their effect on the outputs of some donors, and the
-    variances of these, scaled."""
-    runs = prepare_donor(own.layout.base, pooled, skip)
-    part = jax.device_put(parts_of(runs, ()))
-    found = gather_information(own, np.zeros(len(own.free)), runs, part, 1)
-    y = np.asarray(runs.drive.measured)
-    spread = [
-        y[..., o][s].var() if (s := np.asarray(runs.scored)[..., o]).any() else 1.0
-        for o in range(runs.scored.shape[2])
-    ]
-    spread = np.maximum(spread, 1e-12)
-    total = np.asarray(found.samples)[0] * spread
-    power = np.einsum("opp->op", np.asarray(found.gram)[0])
-    size = np.sqrt((power / np.maximum(total, 1e-300)[:, None]).max(axis=0))
-    if not np.all(np.isfinite(size)):
-        raise DataError(
-            "the free run of the network diverges on the donors: train it on some of "
-            "them first"
-        )
-    scale = 1.0 / np.where(size > 0, size, 1.0)
-    scale = jnp.asarray(scale, own.start.dtype)
-    return dataclasses.replace(own, scale=scale), spread
-
-
-def _finish(work: _Work, fitted: _Fitted, pooled: Dataset, facts: dict) -> FleetPrior:
+def _finish(
+    work: DonorWork, fitted: FittedDonors, pooled: Dataset, facts: dict
+) -> FleetPrior:
     """The prior about the population's mean, and what donors say of calibration."""
     found = fitted.screened
     mean, own = np.asarray(found.population.mean), work.own
@@ -374,7 +160,9 @@ def _finish(work: _Work, fitted: _Fitted, pooled: Dataset, facts: dict) -> Fleet
         found.population.noise,
         jnp.asarray(colour),
     )
-    rungs, ladder = _climb(dataclasses.replace(work, own=own), fitted, centred)
+    rungs, ladder = calibrate_donors(
+        dataclasses.replace(work, own=own), fitted, centred
+    )
     remark = tuple(fitted.remark.get(n, "") for n in work.names)
     return FleetPrior(
         network,
@@ -394,7 +182,7 @@ def _finish(work: _Work, fitted: _Fitted, pooled: Dataset, facts: dict) -> Fleet
 
 
 def _with_domain(
-    network: Network, work: _Work, found: Screened, pooled: Dataset
+    network: Network, work: DonorWork, found: Screened, pooled: Dataset
 ) -> Network:
     """The network with domain and certificate, and intervals that hold the errors of
     donors by their own coefficients."""
@@ -419,7 +207,7 @@ def _with_domain(
         network = fit_domain(network, together)
     except JaxnarxError:
         return network
-    groups = _engine_groups(together, INTERVAL_GROUPS)
+    groups = engine_groups(together, INTERVAL_GROUPS)
     known = groups if len(groups) > 1 else None
     return fit_error_model(network, together, groups=known, run=join_runs(runs))
 
@@ -434,62 +222,9 @@ def _left(found: Screened, sums: Pass) -> Float[np.ndarray, " outputs"]:
     return np.mean(np.log(np.maximum(each, 1e-300)), axis=0)
 
 
-def _colour(work: _Work, found: Screened) -> Float[np.ndarray, " outputs"]:
+def _colour(work: DonorWork, found: Screened) -> Float[np.ndarray, " outputs"]:
     """How many samples of the residuals tell as much as one, in the median of some
     donors."""
     picked = np.flatnonzero(found.used)[:POOLED_DONORS].tolist()
     each = [colour_of(work.own, found.estimate[n], work.runs(n)) for n in picked]
     return np.median(each, axis=0)
-
-
-def _climb(
-    work: _Work, fitted: _Fitted, population: Population
-) -> tuple[tuple[int, ...], Float[np.ndarray, "rungs ways outputs"]]:
-    """Errors of donors that are calibrated by the others, rung by rung."""
-    found = fitted.screened
-    used = np.flatnonzero(found.used)
-    judged = used[:: max(1, len(used) // JUDGED_DONORS)][:JUDGED_DONORS]
-    prepared = [work.runs(n) for n in judged.tolist()]
-    lengths = [int(np.asarray(r.scored).any(axis=2).sum()) for r in prepared]
-    most = int(np.median(lengths)) // 2
-    rungs = tuple(r for r in work.rungs if r <= most) or (max(1, most),)
-    parts = min(FOLDS, len(judged))
-    rows: list[np.ndarray] = []
-    for fold in range(parts):
-        weight = found.used.astype(float)
-        weight[judged[fold::parts]] = 0.0
-        if weight.any():
-            chunks = fitted.sums.chunks(weight)
-            others = fit_population(chunks, found.population, FOLD_STEPS)[0]
-            centre = others.mean - found.population.mean
-            others = dataclasses.replace(others, mean=centre)
-            ways = rivals_of(work.own, others)
-            pairs = prepared[fold::parts]
-            rows += [_errors_of(work, r, rungs, ways, others) for r in pairs]
-    rows = [row for row in rows if np.all(np.isfinite(row))]
-    if not rows:
-        ways = rivals_of(work.own, population)
-        return rungs, np.zeros((len(rungs), len(ways), work.shape.outputs))
-    return rungs, np.mean(rows, axis=0)
-
-
-def _errors_of(
-    work: _Work,
-    runs: Prepared,
-    rungs: tuple[int, ...],
-    ways: Rivals,
-    others: Population,
-) -> Float[np.ndarray, "rungs ways outputs"]:
-    """Logarithm of the squared error over the variance, of one donor's last samples;
-    NaN where it has none."""
-    zero = np.zeros(work.shape.params)
-    part = jax.device_put(parts_of(runs, rungs))
-    sums = gather_information(work.own, zero, runs, part, len(rungs) + 1)
-    host = Information(*map(np.asarray, sums))
-    empty = np.full((len(rungs), len(ways), work.shape.outputs), np.nan)
-    if not (np.all(host.samples > 0) and np.all(np.isfinite(host.gram))):
-        return empty
-    y = np.asarray(runs.drive.measured)[..., : work.shape.outputs]
-    spread = np.maximum(y[np.asarray(part) == len(rungs)].var(axis=0), 1e-12)
-    error = judge_by_samples(ways, host, zero, np.asarray(others.noise))
-    return np.log(np.maximum(error / spread, 1e-12))

@@ -1,0 +1,130 @@
+"""Passes over donors: sums about their coefficients, and the population from them."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxnarx.arrays import Progress
+from jaxnarx.errors import DataError
+from jaxnarx.fleet.broken import Screened, find_broken
+from jaxnarx.fleet.coefficients import FleetCoefficients
+from jaxnarx.fleet.donors import (
+    Donors,
+    DonorTable,
+    Pass,
+    SumsShape,
+    gather_donors,
+    prepare_donor,
+)
+from jaxnarx.fleet.information import gather_information, parts_of
+from jaxnarx.simulation import Prepared
+
+PASSES = 3
+"""Linearisations at most, the first about the network as it was given."""
+LINEAR_SHARE = 1e-3
+"""Share of the loss by which it may differ from what was expected to first order."""
+PROBED_DONORS = 8
+"""Donors by whose runs that is judged."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DonorWork:
+    """Donors, and the coefficients in which they differ."""
+
+    donors: Donors
+    names: list[str]
+    own: FleetCoefficients
+    rungs: tuple[int, ...]
+    skip: int
+    folder: Path | None
+    progress: Progress | None
+
+    @property
+    def shape(self) -> SumsShape:
+        """Sizes of a donor's sums."""
+        network = self.own.layout.base
+        return SumsShape(len(network.modelled), len(self.own.free), 1)
+
+    def gather(self, number: int, at: np.ndarray, remark: dict[str, str]) -> Pass:
+        """Sums of all donors, each about its own coefficients."""
+        every = len(self.names)
+        name, row = f"pass{number}", self.shape.row
+        table = DonorTable.begin(self.folder, name, every, row)
+
+        def told(n: int) -> None:
+            if self.progress is not None:
+                event = {"verb": "learn", "pass": number + 1, "done": n + 1}
+                self.progress(event | {"of": every})
+
+        own = self.donors, self.names, self.own, at, table, self.shape, self.skip
+        gather_donors(*own, remark, told)
+        return Pass(table, self.shape, at)
+
+    def runs(self, n: int) -> Prepared:
+        """The prepared records of a donor."""
+        return prepare_donor(
+            self.own.layout.base, self.donors[self.names[n]], self.skip
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FittedDonors:
+    """A population, what was found about its donors, and from which sums."""
+
+    screened: Screened
+    sums: Pass
+    remark: dict[str, str]
+    passes: int
+
+
+def fit_donors(work: DonorWork) -> FittedDonors:
+    """The population, from sums about the network, then about every donor's own
+    coefficients until a run loses what the last sums expect."""
+    fitted = _pass(work, 0, np.zeros((len(work.names), work.shape.params)))
+    while fitted.passes < PASSES and not _as_expected(work, fitted):
+        fitted = _pass(work, fitted.passes, fitted.screened.estimate)
+    return fitted
+
+
+def _pass(
+    work: DonorWork, number: int, at: Float[np.ndarray, "donors params"]
+) -> FittedDonors:
+    """The population from sums about these coefficients."""
+    remark: dict[str, str] = {}
+    sums = work.gather(number, at, remark)
+    there = _have_samples(sums, work.names, remark)
+    found = find_broken(sums.chunks, there, work.own.layout.base.output_names)
+    notes = remark | {work.names[n]: text for n, text in found.remark.items()}
+    return FittedDonors(found, sums, notes, number + 1)
+
+
+def _have_samples(
+    sums: Pass, names: list[str], remark: dict[str, str]
+) -> Bool[np.ndarray, " donors"]:
+    """Donors of which samples count; DataError where there is none."""
+    rows = [
+        np.asarray(c[0].samples).sum(axis=1) > 0 for c in sums.chunks(sums.at[:, 0])
+    ]
+    there = np.concatenate(rows)[: len(names)]
+    for n in np.flatnonzero(~there).tolist():
+        remark.setdefault(names[n], "no sample counts")
+    if not there.any():
+        first = "; ".join(f"{n}: {t}" for n, t in list(remark.items())[:3])
+        raise DataError(f"not one donor can be run: {first}")
+    return there
+
+
+def _as_expected(work: DonorWork, fitted: FittedDonors) -> bool:
+    """Whether runs of some donors lose what the sums of the last pass expect."""
+    estimate, sums = fitted.screened.estimate, fitted.sums
+    for n in np.flatnonzero(fitted.screened.used)[:PROBED_DONORS].tolist():
+        expected = sums.one(n).loss(estimate[n] - sums.at[n])
+        runs = work.runs(n)
+        part = jax.device_put(parts_of(runs, ()))
+        true = gather_information(work.own, estimate[n], runs, part, 1).square[0]
+        if not np.allclose(true, expected, rtol=LINEAR_SHARE):
+            return False
+    return True
