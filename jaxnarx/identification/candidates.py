@@ -132,7 +132,7 @@ class CandidateSearch:
     def __iter__(self) -> Iterator[Tried]:
         """One after the other; at least one, whatever the time. Sums come last, and
         behind them the chosen candidate once more with its nested error, and without
-        its network."""
+        its network; then the simplest within one standard error likewise."""
         rows = dict(self.known)
         for row, network in self._every_kind():
             rows.setdefault((row.family, row.name), row)
@@ -140,17 +140,29 @@ class CandidateSearch:
         for _ in range(MOST_CHOICES):
             row = self._judge_choice(rows)
             if row is None:
-                return
+                break
             rows[row.family, row.name] = row
             yield row, None
             if row.eligible:
-                return
+                break
+        board = self._board(rows)
+        choice = board.choose(self.profile.output)
+        if choice is None or choice.nested is None:
+            return
+        row = self._judge_again(board.simplest(self.profile.output))
+        if row is not None:
+            yield row, None
+
+    def _board(self, rows: Mapping[tuple[str, str], Candidate]) -> Leaderboard:
+        return Leaderboard(tuple(rows.values()), self.groups.names, self.preset.rule)
 
     def _judge_choice(self, rows: Mapping[tuple[str, str], Candidate]):
-        """The chosen candidate with its nested error; None where that is known, where
-        it cannot be made again, or the time is up."""
-        board = Leaderboard(tuple(rows.values()), self.groups.names, self.preset.rule)
-        row = board.choose(self.profile.output)
+        """The chosen candidate with its nested error; None as of `_judge_again`."""
+        return self._judge_again(self._board(rows).choose(self.profile.output))
+
+    def _judge_again(self, row: Candidate | None) -> Candidate | None:
+        """A candidate with its nested error; None where that is known, where it cannot
+        be made again, or the time is up."""
         if row is None or row.nested is not None or self.late():
             return None
         remake = self.remakes.get(_title(row.family, row.name))

@@ -20,7 +20,8 @@ OPERATION_DIGITS = 7
 """Behind the point; smaller figures are written with powers of ten."""
 RULE_WORDS = {
     "near": "the cheapest to compute within one standard error of the best (that of "
-    "the difference, group by group: column `above best`) and 5 %",
+    "the difference, group by group: column `above best`) and 5 %, or the cheapest "
+    "within one standard error alone where its nested error is smaller",
     "share": "the cheapest to compute within 5 % of the best",
     "best": "the smallest error, whatever it costs",
 }

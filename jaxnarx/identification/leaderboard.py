@@ -131,7 +131,9 @@ class Leaderboard:
     those a candidate whose local models forget their past comes before one whose do
     not. Where one of three groups or more has over half of the loss, `near` are those
     within one standard error of the best whose geometric mean over groups is within 5 %
-    of the least: the pooled error would be that group's alone."""
+    of the least: the pooled error would be that group's alone. Where the `simplest` was
+    made again without every group too (`nested`), the smaller of both nested errors
+    chooses between it and that."""
 
     def __str__(self) -> str:
         """Candidates of every output, best first; the chosen one has a star."""
@@ -177,6 +179,25 @@ class Leaderboard:
             near = _near_in_every_group(rows, best)
         else:
             near = [r for r in rows if _is_near(r, best)]
+        near = [r for r in near if r.forgets] or near
+        chosen = min(near, key=lambda r: (_cost(r), _error(r)))
+        plain = self.simplest(output)
+        if plain is None or plain.nested is None or chosen.nested is None:
+            return chosen
+        return plain if plain.nested < chosen.nested else chosen
+
+    def simplest(self, output: str) -> Candidate | None:
+        """The cheapest to compute within one standard error of the best, however much
+        more its error is; None under another rule than `near`.
+
+        With few groups that error is large, and many regions fit what the groups have
+        in common by chance: nested errors tell the two apart.
+        """
+        best = self.best(output)
+        if best is None or self.rule != "near":
+            return None
+        rows = [r for r in self.of(output) if r.eligible]
+        near = [r for r in rows if _is_equal(r, best)]
         near = [r for r in near if r.forgets] or near
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
@@ -293,8 +314,11 @@ def _is_near(row: Candidate, best: Candidate) -> bool:
     hard they are, which says nothing about the candidates. With few groups that error
     is large; more than `EQUAL_ERROR_SHARE` is not given away.
     """
-    if not _is_within(row, best):
-        return False
+    return _is_within(row, best) and _is_equal(row, best)
+
+
+def _is_equal(row: Candidate, best: Candidate) -> bool:
+    """Whether the difference of two errors is within its standard error."""
     difference, error = _excess(row, best)
     return difference <= EQUAL_STANDARD_ERRORS * error
 

@@ -49,8 +49,10 @@ def identify(
     Each is scored by its free run in leave-group-out cross-validation (models with
     hidden states are trained on from the fit to all records rather than refitted). A
     candidate that diverges on any group is rejected. The result is the cheapest to
-    compute within one standard error, and 5 %, of the best, trained on all records
-    (`preset="best"`: the best itself). The same data and settings give the same model.
+    compute within one standard error, and 5 %, of the best, or the cheapest within one
+    standard error alone where that promises less by nested cross-validation, trained on
+    all records (`preset="best"`: the best itself). The same data and settings give the
+    same model.
 
     With a method the verbs `select`, `grow` and `refine` follow one another; their
     errors pass as they are. Outputs that are neither modelled nor scheduled on are left

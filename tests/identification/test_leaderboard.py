@@ -192,6 +192,24 @@ def test_two_groups_or_even_ones_do_not_disagree():
     assert board().dominant_group("y") is None
 
 
+def test_of_the_choice_and_the_simplest_the_smaller_nested_error_decides():
+    best = row(0, (0.10, 0.20, 0.30), 50)
+    plain = row(1, (0.15, 0.15, 0.33), 10)
+    assert board(best, plain).choose("y") == best
+    assert board(best, plain).simplest("y") == plain
+    judged = [
+        dataclasses.replace(one, nested=nested, nested_groups=(nested,) * 3)
+        for one, nested in ((best, 0.4), (plain, 0.3))
+    ]
+    assert board(*judged).choose("y") == judged[1]
+    assert board(judged[0], plain).choose("y") == judged[0]
+    assert board(best, judged[1]).choose("y") == best
+    worse = dataclasses.replace(judged[1], nested=0.41)
+    assert board(judged[0], worse).choose("y") == judged[0]
+    assert board(*judged, rule="best").choose("y") == judged[0]
+    assert board(*judged, rule="share").simplest("y") is None
+
+
 def test_worst_group():
     assert board().worst_group(BEST) == ("day 4", 0.9)
     some = dataclasses.replace(BEST, groups=(None, 0.5, None, None))
