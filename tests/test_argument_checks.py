@@ -21,7 +21,7 @@ ROOMS = {
     "regressors": "kautz_bank laguerre_bank low_pass_bank orthonormal_bank "
     "time_constants",
     "selection": "choose coefficient_table",
-} | dict.fromkeys(("design", "inverse", "linear", "sweep"), "")
+} | dict.fromkeys(("design", "fleet", "inverse", "linear", "sweep"), "")
 """Verbs that a room offers; none are named where all its functions are."""
 
 VERBS = {n: v for n in jnx.__all__ if inspect.isfunction(v := getattr(jnx, n))} | {
@@ -69,6 +69,9 @@ FITTING = {
     "forward": "Network",
     "data": "Dataset",
     "references": "Dataset",
+    "few": "Dataset",
+    "earlier": "Dataset",
+    "later": "Dataset",
     "validation": "Dataset",
     "train": "Dataset",
     "source": "Pool",

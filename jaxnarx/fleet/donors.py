@@ -145,8 +145,10 @@ def gather_donors(
     for n, name in enumerate(names):
         if table.missing(n):
             row = np.zeros(shape.row)
+            data = donors[name]
+            require_records(name, data)
             try:
-                runs = prepare_donor(coefficients.layout.base, donors[name], skip)
+                runs = prepare_donor(coefficients.layout.base, data, skip)
                 part = jax.device_put(parts_of(runs, ()))
                 found = gather_information(coefficients, at[n], runs, part, 1)
                 row = shape.flat(found)
@@ -157,6 +159,15 @@ def gather_donors(
                 remark.setdefault(name, str(error))
             table.put(n, row)
         told(n)
+
+
+def require_records(name: str, data: Any) -> None:
+    """SpecError where a donor is neither records nor the error that there are none."""
+    if not isinstance(data, Dataset | DataError):
+        raise SpecError(
+            f"donor {name} is of type {type(data).__name__}, but must be a Dataset",
+            field="donors",
+        )
 
 
 def prepare_donor(network: Network, data: Dataset | DataError, skip: int) -> Prepared:

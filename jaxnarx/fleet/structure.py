@@ -15,7 +15,7 @@ from jaxnarx.data import Dataset, Groups, join
 from jaxnarx.errors import DataError
 from jaxnarx.fleet.broken import FAR_DEVIATIONS, LEAST_SPREAD, deviations
 from jaxnarx.fleet.coefficients import FleetCoefficients
-from jaxnarx.fleet.donors import Donors, prepare_donor
+from jaxnarx.fleet.donors import Donors, prepare_donor, require_records
 from jaxnarx.fleet.information import gather_information, parts_of
 from jaxnarx.identification import identify
 from jaxnarx.models import Network, ranges, set_bounds
@@ -40,6 +40,7 @@ def pool_donors(donors: Donors, names: list[str]) -> Dataset:
         if isinstance(data, DataError):
             last = data
             continue
+        require_records(name, data)
         found[name] = data
     if not found:
         raise last or DataError("no donor has records")
