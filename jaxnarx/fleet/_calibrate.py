@@ -164,7 +164,8 @@ class _Estimate:
         donors = at_samples(prior.rungs, prior.ladder, float(samples.max()))
         if blocks > 1:
             own = judge_by_blocks(rivals, sums, zero, noise, blocks)
-            own = np.log(np.maximum(own / prior.output_spread, 1e-12))
+            # Smaller errors than donors' own coefficients leave are chance.
+            own = np.log(np.maximum(own, prior.left) / prior.output_spread)
         else:
             own = donors
         way, score = choose(rivals, donors, own, samples, colour)
