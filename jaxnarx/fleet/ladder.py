@@ -17,6 +17,11 @@ JUDGED_DONORS = 128
 """Donors that are calibrated by the others."""
 FOLDS = 4
 """Parts of them that are left out together."""
+BEGIN_SHARES = (0.0, 0.1, 0.2, 0.3)
+"""Shares of a record before the samples that calibrate, donor by donor in turns: all
+may have the same excitation, and one stretch of it says little about others."""
+MOST_SHARE = 0.4
+"""Share of a record that calibrates at most."""
 FOLD_STEPS = 10
 """Steps of the EM algorithm without a part, from those with all."""
 
@@ -30,7 +35,8 @@ def calibrate_donors(
     judged = used[:: max(1, len(used) // JUDGED_DONORS)][:JUDGED_DONORS]
     prepared = [work.runs(n) for n in judged.tolist()]
     lengths = [int(np.asarray(r.scored).any(axis=2).sum()) for r in prepared]
-    most = int(np.median(lengths)) // 2
+    usual = int(np.median(lengths))
+    most = int(MOST_SHARE * usual)
     rungs = tuple(r for r in work.rungs if r <= most) or (max(1, most),)
     parts = min(FOLDS, len(judged))
     rows: list[np.ndarray] = []
@@ -43,8 +49,10 @@ def calibrate_donors(
             centre = others.mean - found.population.mean
             others = dataclasses.replace(others, mean=centre)
             ways = rivals_of(work.own, others)
-            pairs = prepared[fold::parts]
-            rows += [_errors_of(work, r, rungs, ways, others) for r in pairs]
+            for place in range(fold, len(judged), parts):
+                first = int(BEGIN_SHARES[place // parts % len(BEGIN_SHARES)] * usual)
+                runs = prepared[place]
+                rows.append(_errors_of(work, runs, first, rungs, ways, others))
     rows = [row for row in rows if np.all(np.isfinite(row))]
     if not rows:
         ways = rivals_of(work.own, population)
@@ -55,6 +63,7 @@ def calibrate_donors(
 def _errors_of(
     work: DonorWork,
     runs: Prepared,
+    first: int,
     rungs: tuple[int, ...],
     ways: Rivals,
     others: Population,
@@ -62,8 +71,11 @@ def _errors_of(
     """Logarithm of the squared error over the variance, of one donor's last samples;
     NaN where it has none."""
     zero = np.zeros(work.shape.params)
-    part = jax.device_put(parts_of(runs, rungs))
-    sums = gather_information(work.own, zero, runs, part, len(rungs) + 1)
+    edges = (first, *(first + n for n in rungs)) if first else rungs
+    part = parts_of(runs, edges) - (1 if first else 0)
+    sums = gather_information(
+        work.own, zero, runs, jax.device_put(part), len(rungs) + 1
+    )
     host = Information(*map(np.asarray, sums))
     empty = np.full((len(rungs), len(ways), work.shape.outputs), np.nan)
     if not (np.all(host.samples > 0) and np.all(np.isfinite(host.gram))):
