@@ -1,6 +1,7 @@
 """What a fleet has in common, as one value and one file."""
 
 import dataclasses
+import functools
 import io
 import json
 import os
@@ -99,9 +100,9 @@ class FleetPrior:
         """Names of the coefficients that differ."""
         return names_of(self.coefficients)
 
-    @property
+    @functools.cached_property
     def rivals(self) -> Rivals:
-        """The ways to calibrate an engine."""
+        """The ways to calibrate an engine; made once."""
         return rivals_of(self.coefficients, self.population)
 
     def expected(self, output: int = 0) -> dict[str, Float[np.ndarray, " rungs"]]:
