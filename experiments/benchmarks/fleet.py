@@ -1,4 +1,4 @@
-"""What a fleet costs: learning from donors, calibrating new engines. No peer does it.
+"""Costs of a fleet: learning from donors, calibrating new engines. No peer does it.
 
 Synthetic engines of five inputs and 60 quadratic terms, 1,000 samples each, made when
 they are asked for.

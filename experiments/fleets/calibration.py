@@ -165,7 +165,7 @@ def ways_of(prior: Any, few: jnx.Dataset) -> dict[str, list[np.ndarray]]:
     noise = np.asarray(prior.population.noise)
     one = Information(*(np.asarray(a)[None] for a in sums))
     given = ways.weight, ways.mean, ways.root
-    found = np.asarray(estimate_each(one, zero, 1 / noise, *given))[0]
+    found = estimate_each(one, zero, 1 / noise, *given)[0]
     told = at_samples(prior.rungs, prior.ladder, float(sums.samples[0]))
     alone = np.array([kind == "prior" for kind in ways.kinds])
     score = np.where(alone[:, None], told, np.inf)

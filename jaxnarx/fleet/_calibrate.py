@@ -15,13 +15,8 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.fleet.broken import squared_distances
 from jaxnarx.fleet.coefficients import names_of, outputs_of
-from jaxnarx.fleet.information import (
-    Information,
-    gather_information,
-    parts_of,
-    skip_begin,
-)
-from jaxnarx.fleet.population import posterior, root_of
+from jaxnarx.fleet.information import Information, gather_information, parts_of
+from jaxnarx.fleet.member import know_member, prepare_member
 from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.fleet.rivals import (
     KINDS,
@@ -32,16 +27,19 @@ from jaxnarx.fleet.rivals import (
 )
 from jaxnarx.formatting import count, list_names
 from jaxnarx.models import Network
-from jaxnarx.simulation import Prepared, prepare
+from jaxnarx.simulation import Prepared
 from jaxnarx.solution import RESULTS, Solution
 
 BLOCKS = 5
 """Blocks of the new samples, each judged by the others."""
 FEWEST_SAMPLES_PER_BLOCK = 2
+"""Samples of a block at least."""
 PASSES = 3
 """Linearisations at most, the first about the population's mean."""
 MOVED = 1e-6
 """Change of a coefficient, in deviations of the output, that counts as none."""
+LEAST_LEARNT = 1e-6
+"""Share of the population's variance that samples must remove to tell anything."""
 FOREIGN_PROBABILITY = 1e-6
 """Probability of a distance as large from which an engine is none of the fleet."""
 NAMED = 5
@@ -84,7 +82,7 @@ def calibrate(prior: FleetPrior, few: Dataset) -> Solution[Network]:
         found = jnx.fleet.calibrate(prior, data)
         print(found.stats["way"], found.stats["distance"])
     """
-    runs = skip_begin(prepare(prior.network, few), prior.warm_up)
+    runs = prepare_member(prior, few)
     counted = np.asarray(runs.scored, int).sum(axis=(0, 1))
     if not counted.any():
         text = (
@@ -101,7 +99,7 @@ def calibrate(prior: FleetPrior, few: Dataset) -> Solution[Network]:
         return Solution(prior.network, RESULTS.diverged, stats, text)
     value = _with_intervals(prior, value, found)
     told = _describe(prior, found, stats)
-    if stats["learnt"] < MOVED:
+    if stats["learnt"] < LEAST_LEARNT:
         text = "the samples tell nothing of any coefficient; " + told
         return Solution(value, RESULTS.unidentifiable, stats, text)
     return Solution(value, RESULTS.ok, stats, told)
@@ -111,7 +109,7 @@ def calibrate(prior: FleetPrior, few: Dataset) -> Solution[Network]:
 def calibrate_each(
     prior: FleetPrior, engines: Mapping[str, Dataset | DataError]
 ) -> dict[str, Solution[Network]]:
-    """`calibrate` for many new engines, by name; any number compiles once.
+    """`calibrate` for many new engines by name; those of like length share programs.
 
     An engine whose records are none of such an engine has the population's mean, the
     status `nonfinite_data`, and what is wrong as `detail`: it stops none of the others.
@@ -195,9 +193,9 @@ class _Estimate:
         noise = np.asarray(self.prior.population.noise)
         one = Information(*(np.asarray(a)[None] for a in about))
         given = rivals.weight, rivals.mean, rivals.root
-        found = np.asarray(estimate_each(one, at, 1.0 / noise, *given))[0]
+        found = estimate_each(one, at, 1.0 / noise, *given)[0]
         owner = outputs_of(self.prior.coefficients)
-        # Hidden channels go with the output that is worst without them: the first.
+        # Coefficients of hidden channels are those of the first output's way.
         owner = np.where(owner < len(way), owner, 0)
         return found[way[owner], np.arange(found.shape[1])]
 
@@ -235,8 +233,8 @@ def _stats(
     zero = np.zeros((1, len(prior.coefficients.free)))
     square, freedom = squared_distances(one, zero, prior.population)
     square, freedom = float(square[0]), float(freedom[0])
-    own = _own(prior, found.first)
-    spread = np.maximum(prior.spread(), 1e-12)
+    own = know_member(prior, found.first)
+    spread = np.maximum(prior.spread, 1e-12)
     unusual = own.mean / spread
     order = np.argsort(-np.abs(unusual))[:NAMED]
     labels = names_of(prior.coefficients)
@@ -255,15 +253,6 @@ def _stats(
         "learnt": float(1 - np.trace(own.covariance) / before) if before > 0 else 0.0,
         "coefficients": found.chosen,
     }
-
-
-def _own(prior: FleetPrior, sums: Information):
-    """Mean and covariance of the engine's coefficients; colour counts."""
-    population = prior.population
-    precision = 1.0 / (population.noise * population.colour)
-    root = root_of(np.asarray(population.covariance))
-    found = posterior(sums, np.zeros(len(root)), precision, population.mean, root)
-    return type(found)(*map(np.asarray, found))
 
 
 def _describe(prior: FleetPrior, found: _Estimate, stats: dict[str, Any]) -> str:

@@ -3,22 +3,16 @@
 import dataclasses
 from typing import Any
 
-import jax
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.fleet.coefficients import names_of
-from jaxnarx.fleet.information import (
-    Information,
-    gather_information,
-    parts_of,
-    skip_begin,
-)
-from jaxnarx.fleet.population import posterior, root_of
+from jaxnarx.fleet.information import Information
+from jaxnarx.fleet.member import coloured_precision, know_member, sum_records
+from jaxnarx.fleet.population import root_of
 from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.formatting import brief, list_names, page
-from jaxnarx.simulation import prepare
 from jaxnarx.solution import RESULTS, Solution
 
 STRONG_LOG_ODDS = 3.0
@@ -81,7 +75,7 @@ def compare_records(
         prior = jnx.fleet.learn({"one": data, "other": data}, network).value
         print(jnx.fleet.compare_records(prior, data[:1], data[1:]).value)
     """
-    sums = [_sums(prior, data) for data in (earlier, later)]
+    sums = [sum_records(prior, data) for data in (earlier, later)]
     if not all(np.asarray(s.samples).any() for s in sums):
         text = "no sample counts in one of them"
         return Solution(EngineChange(0.0, {}), RESULTS.too_short, {}, text)
@@ -90,9 +84,9 @@ def compare_records(
     )
     alone = [_log_evidence(prior, s) for s in sums]
     odds = _log_evidence(prior, both) - sum(alone)
-    one, other = (_coefficients(prior, s) for s in sums)
-    spread = np.sqrt(np.diag(one[1]) + np.diag(other[1]))
-    change = (other[0] - one[0]) / np.maximum(spread, 1e-12)
+    one, other = (know_member(prior, s) for s in sums)
+    spread = np.sqrt(np.diag(one.covariance) + np.diag(other.covariance))
+    change = (other.mean - one.mean) / np.maximum(spread, 1e-12)
     names = names_of(prior.coefficients)
     order = np.argsort(-np.abs(change))[:NAMED]
     value = EngineChange(
@@ -102,35 +96,14 @@ def compare_records(
     return Solution(value, RESULTS.ok, stats, str(value))
 
 
-def _sums(prior: FleetPrior, data: Dataset) -> Information:
-    """Sums of records about the population's mean."""
-    runs = skip_begin(prepare(prior.network, data), prior.warm_up)
-    part = jax.device_put(parts_of(runs, ()))
-    zero = np.zeros(len(prior.coefficients.free))
-    found = gather_information(prior.coefficients, zero, runs, part, 1)
-    return Information(*map(np.asarray, found)).total()
-
-
-def _precision(prior: FleetPrior) -> np.ndarray:
-    population = prior.population
-    return 1.0 / (np.asarray(population.noise) * np.asarray(population.colour))
-
-
 def _log_evidence(prior: FleetPrior, sums: Information) -> float:
     """Logarithm of the probability of the records under the population, up to what
     depends on their number alone."""
-    precision, root = _precision(prior), root_of(prior.population.covariance)
+    precision = coloured_precision(prior)
+    root = root_of(prior.population.covariance)
     gram = root.T @ np.einsum("opq,o->pq", sums.gram, precision) @ root
     right = root.T @ np.einsum("op,o->p", sums.right, precision)
     inner = np.eye(len(gram)) + gram
     square = float(np.asarray(sums.square) @ precision)
     explained = float(right @ np.linalg.solve(inner, right))
     return -0.5 * (square - explained + float(np.linalg.slogdet(inner)[1]))
-
-
-def _coefficients(prior: FleetPrior, sums: Information) -> tuple[np.ndarray, ...]:
-    """Mean and covariance of the coefficients."""
-    root = root_of(prior.population.covariance)
-    zero = np.zeros(len(root))
-    found = posterior(sums, zero, _precision(prior), zero, root)
-    return np.asarray(found.mean), np.asarray(found.covariance)

@@ -176,7 +176,7 @@ def _finish(
         remark,
         rungs,
         ladder,
-        np.exp(_left(found, fitted.sums)),
+        np.exp(_measure_left(found, fitted.sums)),
         **facts,
     )
 
@@ -212,13 +212,13 @@ def _with_domain(
     return fit_error_model(network, together, groups=known, run=join_runs(runs))
 
 
-def _left(found: Screened, sums: Pass) -> Float[np.ndarray, " outputs"]:
+def _measure_left(found: Screened, sums: Pass) -> Float[np.ndarray, " outputs"]:
     """Mean logarithm of what donors' own coefficients leave of the outputs, scaled."""
-    each = [
-        sums.one(n).loss(found.estimate[n] - sums.at[n])
-        / np.maximum(sums.one(n).samples, 1.0)
-        for n in np.flatnonzero(found.used).tolist()
-    ]
+    each = []
+    for n in np.flatnonzero(found.used).tolist():
+        one = sums.one(n)
+        loss = one.loss(found.estimate[n] - sums.at[n])
+        each.append(loss / np.maximum(one.samples, 1.0))
     return np.mean(np.log(np.maximum(each, 1e-300)), axis=0)
 
 

@@ -40,9 +40,11 @@ MAD_SHARE = 1.4826
 LEAST_SPREAD = 0.15
 """Spread of a logarithm that donors have at least."""
 ROUNDS = 4
+"""Turns of population and search at most."""
 FEWEST_DONORS = 8
 """Donors below which none is called unlike the others."""
 RANK_SHARE = 1e-8
+"""Share of the largest eigenvalue from which a direction is told of."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

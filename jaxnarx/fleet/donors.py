@@ -46,12 +46,11 @@ class SumsShape:
 
     outputs: int
     params: int
-    parts: int
 
     @property
     def row(self) -> int:
         """Numbers of a donor."""
-        return self.parts * self.outputs * (2 + self.params + self.params**2)
+        return self.outputs * (2 + self.params + self.params**2)
 
     def flat(self, information: Information) -> Float[np.ndarray, " row"]:
         """The sums as one row."""
@@ -59,8 +58,8 @@ class SumsShape:
 
     def unflat(self, rows: Float[np.ndarray, "donors row"]) -> Information:
         """The sums of some rows."""
-        p, o, k = self.params, self.outputs, self.parts
-        sizes = ((k, o), (k, o, p), (k, o, p, p), (k, o))
+        p, o = self.params, self.outputs
+        sizes = ((o,), (o, p), (o, p, p), (o,))
         edges = np.cumsum([int(np.prod(s)) for s in sizes])[:-1]
         parts = np.split(np.asarray(rows), edges, axis=1)
         pairs = zip(parts, sizes, strict=True)
@@ -136,7 +135,7 @@ def gather_donors(
     shape: SumsShape,
     skip: int,
     remark: dict[str, str],
-    told: Callable[[int], None],
+    tell: Callable[[int], None],
 ) -> None:
     """Fill the table: sums of every donor about its own place.
 
@@ -151,14 +150,14 @@ def gather_donors(
                 runs = prepare_donor(coefficients.layout.base, data, skip)
                 part = jax.device_put(parts_of(runs, ()))
                 found = gather_information(coefficients, at[n], runs, part, 1)
-                row = shape.flat(found)
+                row = shape.flat(found.total())
                 if not np.all(np.isfinite(row)):
                     raise DataError("the free run of the population's network diverges")
             except (DataError, SpecError) as error:
                 row = np.zeros(shape.row)
                 remark.setdefault(name, str(error))
             table.put(n, row)
-        told(n)
+        tell(n)
 
 
 def require_records(name: str, data: Any) -> None:
@@ -188,7 +187,7 @@ class Pass:
 
     def one(self, n: int) -> Information:
         """The sums of one donor."""
-        rows = self.shape.unflat(self.table.rows[n : n + 1]).total()
+        rows = self.shape.unflat(self.table.rows[n : n + 1])
         return Information(*(np.asarray(a)[0] for a in rows))
 
     def chunks(self, weight: Float[np.ndarray, " donors"]) -> "Chunks":
@@ -210,7 +209,7 @@ class Chunks(Sequence):
         if not 0 <= number < len(self):
             raise IndexError(number)
         rows = slice(number * CHUNK, (number + 1) * CHUNK)
-        sums = self.one.shape.unflat(self.one.table.rows[rows]).total()
+        sums = self.one.shape.unflat(self.one.table.rows[rows])
         padded = Information(*(_pad(np.asarray(a)) for a in sums))
         return padded, _pad(self.one.at[rows]), _pad(self.weight[rows])
 

@@ -46,7 +46,7 @@ class DonorWork:
     def shape(self) -> SumsShape:
         """Sizes of a donor's sums."""
         network = self.own.layout.base
-        return SumsShape(len(network.modelled), len(self.own.free), 1)
+        return SumsShape(len(network.modelled), len(self.own.free))
 
     def gather(self, number: int, at: np.ndarray, remark: dict[str, str]) -> Pass:
         """Sums of all donors, each about its own coefficients."""
@@ -54,13 +54,13 @@ class DonorWork:
         name, row = f"pass{number}", self.shape.row
         table = DonorTable.begin(self.folder, name, every, row)
 
-        def told(n: int) -> None:
+        def tell(n: int) -> None:
             if self.progress is not None:
                 event = {"verb": "learn", "pass": number + 1, "done": n + 1}
                 self.progress(event | {"of": every})
 
         own = self.donors, self.names, self.own, at, table, self.shape, self.skip
-        gather_donors(*own, remark, told)
+        gather_donors(*own, remark, tell)
         return Pass(table, self.shape, at)
 
     def runs(self, n: int) -> Prepared:

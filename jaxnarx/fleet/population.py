@@ -98,7 +98,7 @@ def expect(
     """Posterior moments of engines, and their sums with these weights.
 
     As `posterior`, by LAPACK for all at once: on a CPU many small factorisations in one
-    program took twenty times as long.
+    program took several times as long.
     """
     square, right, gram, samples = map(np.asarray, information)
     precision, mean = 1.0 / np.asarray(population.noise), np.asarray(population.mean)

@@ -24,7 +24,7 @@ from jaxnarx.fleet.coefficients import (
 )
 from jaxnarx.fleet.population import Population
 from jaxnarx.fleet.rivals import KINDS, Rivals, make_rivals
-from jaxnarx.formatting import align_columns, brief, count, list_names, page, some
+from jaxnarx.formatting import align_columns, brief, count, page, some
 from jaxnarx.models import Network, load, save
 
 FORMAT = 1
@@ -112,6 +112,7 @@ class FleetPrior:
         own = np.exp(self.ladder[:, :, output] / 2)
         return {kind: own[:, kinds == kind].min(axis=1) for kind in KINDS}
 
+    @property
     def spread(self) -> Float[np.ndarray, " params"]:
         """Standard deviation of every coefficient over the population, in those of the
         output that it moves."""
@@ -120,11 +121,6 @@ class FleetPrior:
     def broken(self) -> list[str]:
         """Donors that are unlike the others, or could not be used."""
         return [n for n, u in zip(self.donors, self.used, strict=True) if not u]
-
-    def describe_broken(self) -> str:
-        """A sentence on them; empty where there are none."""
-        found = self.broken()
-        return f"not used: {list_names(found)}" if found else ""
 
 
 def rivals_of(coefficients: FleetCoefficients, population: Population) -> Rivals:

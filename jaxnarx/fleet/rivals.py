@@ -7,7 +7,7 @@ and by how much is tried. `own fit`: least squares of the new samples alone, wit
 ridge.
 
 Which one serves is learnt from the donors: each is calibrated by a population without
-it from its first 10, 20, 50 ... samples and judged on its last ones. All of that is
+it from 10, 20, 50 ... samples in a row and judged on its last ones. All of that is
 algebra on the sums of `information`.
 """
 
@@ -96,7 +96,7 @@ def estimate_each(
 
 def _by_all(rivals: Rivals, information: Information, at, noise) -> np.ndarray:
     given = rivals.weight, rivals.mean, rivals.root
-    return np.asarray(estimate_each(information, at, 1.0 / noise, *given))
+    return estimate_each(information, at, 1.0 / noise, *given)
 
 
 def judge_by_samples(

@@ -27,8 +27,12 @@ def split_outputs(network: Network) -> list[NetworkPart]:
     """Networks of outputs that do not look at one another, each with the hidden
     channels that it needs; the whole where there is one part. Host only.
 
-    Hidden channels that no output needs go with none. `combine_outputs` undoes it.
+    Hidden channels that no output needs go with the first. `combine_outputs` undoes it.
     """
+    count, rows = len(network.modelled), np.arange(len(network.variables))
+    whole = [NetworkPart(network, np.arange(len(network.models)), rows)]
+    if count < 2:
+        return whole
     place = {s: n for n, s in enumerate(network.signals)}
     seen = [_variables_of(model) for model in network.models]
     looked = [
@@ -37,11 +41,11 @@ def split_outputs(network: Network) -> list[NetworkPart]:
         for rows, model in zip(seen, network.models, strict=True)
     ]
     groups = _connected(looked)
-    count = len(network.modelled)
+    alone = [n for g in groups if g[0] >= count for n in g]
     groups = [g for g in groups if g[0] < count]
     if len(groups) < 2:
-        every = np.arange(len(network.models))
-        return [NetworkPart(network, every, np.arange(len(network.variables)))]
+        return whole
+    groups[0] = sorted(groups[0] + alone)
     return [_part(network, np.array(g), [seen[n] for n in g]) for g in groups]
 
 
@@ -72,11 +76,11 @@ def _part(network: Network, at: np.ndarray, seen: list[set[int]]) -> NetworkPart
     moved = {measured + int(h): measured + n for n, h in enumerate(hidden)}
     rows = np.array(sorted(set().union(*seen)), int)
     entries = network.variables.entries
-    table = Variables.of([_renumbered(entries[r], moved) for r in rows.tolist()])
+    table = Variables.of([_renumber(entries[r], moved) for r in rows.tolist()])
     place = np.zeros(len(entries) + 1, np.int32)
     place[rows + 1] = np.arange(1, len(rows) + 1)
     signals = np.concatenate([np.arange(measured), measured + hidden]).astype(int)
-    models = tuple(_moved(network.models[n], place, moved) for n in at.tolist())
+    models = tuple(_move_model(network.models[n], place, moved) for n in at.tolist())
     names = network.channels
     channels = Channels(
         names.inputs, names.outputs, tuple(names.hidden[h] for h in hidden.tolist())
@@ -104,15 +108,17 @@ def _part(network: Network, at: np.ndarray, seen: list[set[int]]) -> NetworkPart
     return NetworkPart(part, at, rows)
 
 
-def _renumbered(entry: Any, moved: dict[int, int]) -> Any:
+def _renumber(entry: Any, moved: dict[int, int]) -> Any:
     """A row of a table of variables, with another number of its hidden channel."""
     signal, lag, filter_ = entry
     return moved.get(signal, signal), lag, filter_
 
 
-def _moved(model: OutputModel, place: np.ndarray, moved: dict[int, int]) -> OutputModel:
+def _move_model(
+    model: OutputModel, place: np.ndarray, moved: dict[int, int]
+) -> OutputModel:
     """The model with its variables at their places in a smaller table."""
     factor = jax.device_put(place[np.asarray(model.local.factor)])
     model = eqx.tree_at(lambda m: m.local.factor, model, factor)
-    rows = [_renumbered(entry, moved) for entry in model.scheduling.entries]
+    rows = [_renumber(entry, moved) for entry in model.scheduling.entries]
     return dataclasses.replace(model, scheduling=Variables.of(rows))

@@ -5,7 +5,8 @@ import numpy as np
 from fleet_problems import coefficients, engine, learnt
 
 import jaxnarx as jnx
-from jaxnarx.fleet._compare import _log_evidence, _sums
+from jaxnarx.fleet._compare import _log_evidence
+from jaxnarx.fleet.member import sum_records
 
 NEW = coefficients(6, 77)
 
@@ -35,7 +36,7 @@ def test_evidence_is_that_of_the_normal_distribution():
     gain = float(prior.network.gain[-1])
     for n in (0, 1):
         data = engine(NEW[n], 40, 3)
-        sums = _sums(prior, data)
+        sums = sum_records(prior, data)
         found.append(_log_evidence(prior, sums))
         runs = jnx.prepare(prior.network, data)
         rows = np.flatnonzero(np.asarray(runs.scored)[0, :, 0])

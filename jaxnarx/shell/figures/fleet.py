@@ -38,7 +38,7 @@ def errors_by_samples(prior: FleetPrior, output: int) -> Picture:
 
 def spread_of_coefficients(prior: FleetPrior) -> Picture:
     """Standard deviation of the coefficients that differ most."""
-    spread = prior.spread()
+    spread = prior.spread
     order = np.argsort(-spread)[:SHOWN_COEFFICIENTS]
     names = [prior.names[n] for n in order.tolist()]
     places = np.arange(len(order))
