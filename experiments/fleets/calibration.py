@@ -170,8 +170,10 @@ def ways_of(prior: Any, few: jnx.Dataset) -> dict[str, list[np.ndarray]]:
     alone = np.array([kind == "prior" for kind in ways.kinds])
     score = np.where(alone[:, None], told, np.inf)
     colour = np.asarray(prior.population.colour)
-    best = int(choose(ways, score, score, sums.samples, colour)[0][0])
-    every = dict(zip(KINDS, ([], [], [found[best]], []), strict=True))
+    samples = np.asarray(sums.samples)
+    best = int(choose(ways, score, score, samples, colour)[0][0])
+    every: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
+    every["prior"] = [found[best]]
     for kind, v in zip(ways.kinds, found, strict=True):
         if kind != "prior":
             every[kind].append(v)
