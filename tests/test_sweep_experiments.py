@@ -117,6 +117,15 @@ def test_fleet_calibration(tmp_path):
 
 
 @pytest.mark.slow
+def test_planned_tests_of_a_fleet(tmp_path):
+    given = ("--results", str(tmp_path), "--cache", str(tmp_path / "engines"))
+    experiment("fleets/plans.py", *given)
+    figures = json.loads((tmp_path / "fleet_plans.json").read_text())["figures"]
+    assert set(figures["beds"]) == {"pfi"}
+    assert figures["planned over usual, median of seeds"]["pfi"]["20"] > 0
+
+
+@pytest.mark.slow
 def test_what_a_fleet_costs(tmp_path):
     experiment("benchmarks/fleet.py", "--results", str(tmp_path))
     figures = json.loads((tmp_path / "fleet.json").read_text())["figures"]

@@ -17,6 +17,8 @@ Royal Statistical Society B 63, 2001; designs for both: W. J. Welch, Technometri
 1983.
 """
 
+import dataclasses
+from collections.abc import Callable
 from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
@@ -26,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxnarx.design.sensitivity import NetworkSensitivity, rest_run
+from jaxnarx.design.sensitivity import NetworkSensitivity, rest_run, run_sensitivity
 from jaxnarx.design.stretches import Space
 from jaxnarx.models import Domain, Network
 from jaxnarx.regressors import Variables, record_columns
@@ -54,31 +56,49 @@ class Seen(NamedTuple):
     far: Any
 
 
-class View(eqx.Module):
-    """A network with all that its tests are judged by; see the module."""
+class AlongCoefficients(eqx.Module):
+    """A network moved along directions of its coefficients."""
 
     sensitivity: NetworkSensitivity
+    directions: Float[Array, "params directions"]
+
+    def __call__(self, w: Float[Array, " directions"]) -> Network:
+        """The network so far along every direction."""
+        sensitivity = self.sensitivity
+        return sensitivity.place(sensitivity.parameters + self.directions @ w)
+
+
+class View(eqx.Module):
+    """A network with all that its tests are judged by; see the module.
+
+    `along` moves the network by unknowns of unit variance, `directions` of them;
+    `noise` is the standard deviation of a row, in physical units. `factors` are the
+    terms of the error that the network does not express: none where that is not asked.
+    """
+
+    network: Network
+    along: Callable[[Float[Array, " directions"]], Network]
+    directions: int = eqx.field(static=True)
+    noise: Float[Array, " outputs"]
     domain: Domain
     table: Variables = eqx.field(static=True)
-    directions: Float[Array, "params directions"]
-    spread: Float[Array, " outputs"]
     middle: Float[Array, " features"]
     half: Float[Array, " features"]
+    factors: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
     @property
-    def terms(self) -> int:
-        """The terms of the error."""
-        return len(_factors(len(self.table) // 2))
+    def unknowns(self) -> tuple[int, ...]:
+        """How many unknowns of every kind."""
+        return self.directions, *((len(self.factors),) if self.factors else ())
 
     def view_from_rest(self, u: Float[Array, "time inputs"]) -> Seen:
         """The view of a test that begins at rest."""
-        network = self.sensitivity.network
-        y = rest_run(network, u, self.sensitivity.lead) * _gain(network)[None]
+        y = rest_run(self.network, u, 0) * _gain(self.network)[None]
         return Seen(y, self.features(u), self.index(u))
 
     def features(self, u: Float[Array, "time inputs"]) -> Float[Array, "features time"]:
         """The features of the domain."""
-        at, time = jnp.arange(u.shape[0]), self.sensitivity.network.sample_time
+        at, time = jnp.arange(u.shape[0]), self.network.sample_time
         return record_columns(u, None, at, self.domain.features, time)
 
     def index(self, u: Float[Array, "time inputs"]) -> Float[Array, " time"]:
@@ -91,39 +111,44 @@ class View(eqx.Module):
         self, u: Float[Array, "time inputs"], at: Int[Array, " rows"]
     ) -> Float[Array, "outputrows directions"]:
         """Rows of the coefficients at some samples, from a free run."""
-        network, p = self.sensitivity.network, self.sensitivity.parameters
 
         def run(w):
-            moved = self.sensitivity.place(p + self.directions @ w)
-            return rest_run(moved, u, self.sensitivity.lead)[at]
+            return rest_run(self.along(w), u, 0)[at]
 
-        zero = jnp.zeros(self.directions.shape[1], p.dtype)
-        size = _gain(network) / (self.spread * ROW_NOISE)
+        zero = jnp.zeros(self.directions, self.noise.dtype)
+        size = _gain(self.network) / self.noise
         rows = jax.jacfwd(run)(zero) * size[None, :, None]
         return rows.reshape(-1, rows.shape[-1])
+
+    def rows(
+        self, u: Float[Array, "time inputs"], at: Int[Array, " rows"]
+    ) -> tuple[Float[Array, "_ _"], ...]:
+        """Rows of all kinds of unknowns at some samples."""
+        found = self.slopes(u, at)
+        return (found, self.errors(u, at)) if self.factors else (found,)
 
     def errors(
         self, u: Float[Array, "time inputs"], at: Int[Array, " rows"]
     ) -> Float[Array, "rows terms"]:
         """Rows of the error at some samples."""
-        time = self.sensitivity.network.sample_time
+        time = self.network.sample_time
         z = record_columns(u, None, at, self.table, time) - self.middle[:, None]
         z = z / self.half[:, None]
         v = jnp.concatenate([jnp.ones_like(z[:1]), z])
-        terms = jnp.prod(v[_factors(len(self.table) // 2)], axis=1)
+        terms = jnp.prod(v[np.array(self.factors)], axis=1)
         return (
             terms * jnp.clip(self.index(u)[at], *ERROR_SIZE_RANGE)[None] / ROW_NOISE
         ).T
 
 
-def _factors(inputs: int) -> Int[np.ndarray, "terms degree"]:
+def _factors(inputs: int) -> tuple[tuple[int, ...], ...]:
     """Rows of the terms into one, inputs, slow inputs: squares of all, cubes of the
     inputs."""
     rows = list(combinations_with_replacement(range(1 + 2 * inputs), 2))
     rows = [(0, *row) for row in rows]
     if inputs <= CUBIC_INPUTS:
         rows += list(combinations_with_replacement(range(1, 1 + inputs), 3))
-    return np.array(rows)
+    return tuple(rows)
 
 
 def _gain(network: Network) -> Float[Array, " outputs"]:
@@ -131,14 +156,16 @@ def _gain(network: Network) -> Float[Array, " outputs"]:
     return network.gain[np.array(network.signals[: len(network.modelled)])]
 
 
-def make_view(
-    sensitivity: NetworkSensitivity,
+def network_view(
+    network: Network,
     space: Space,
     reference: Float[np.ndarray, "time inputs"],
+    lead: int,
 ) -> View:
-    """The view, its directions by the free run under a `reference` of the space."""
-    network = sensitivity.network
-    assert network.domain is not None
+    """The view of what a network does not know of itself: its coefficients, by the
+    directions that its free run follows most under a `reference` of the space, and an
+    error that it cannot express."""
+    sensitivity = run_sensitivity(network, lead)
     slope, y = map(np.asarray, _slopes(sensitivity, jax.device_put(reference)))
     spread = np.where(np.isfinite(y).all(axis=0), y.std(axis=0), 0.0)
     spread = np.where(spread > 0, spread, 1.0)
@@ -147,18 +174,32 @@ def make_view(
     _, size, right = np.linalg.svd(rows, full_matrices=False)
     kept = (size > WEAKEST_SHARE * size[0])[:MAX_DIRECTIONS]
     size, right = size[:MAX_DIRECTIONS][kept], right[:MAX_DIRECTIONS][kept]
-    inputs = range(len(space.low))
+    along = right.T * np.sqrt(len(rows)) / size[None]
+    moved = AlongCoefficients(run_sensitivity(network, 0), jax.device_put(along))
+    view = make_view(network, moved, along.shape[1], ROW_NOISE * spread, space)
+    return dataclasses.replace(view, factors=_factors(len(space.low)))
+
+
+def make_view(
+    network: Network,
+    along: Callable[[Float[Array, " directions"]], Network],
+    directions: int,
+    noise: Float[np.ndarray, " outputs"],
+    space: Space,
+) -> View:
+    """The view of what is not known along some directions, and of nothing else."""
+    assert network.domain is not None
     slow = next(f for *_, f in network.domain.features.entries if f is not None)
-    table = [(s, 0, f) for f in (None, slow) for s in inputs]
-    half = 0.5 * (space.high - space.low)
-    leaves = (
-        right.T * np.sqrt(len(rows)) / size[None],
-        spread,
-        np.tile(0.5 * (space.high + space.low), 2),
-        np.tile(np.where(half > 0, half, 1.0), 2),
+    table = Variables.of(
+        [(s, 0, f) for f in (None, slow) for s in range(len(space.low))]
     )
-    table = Variables.of(table)
-    return View(sensitivity, network.domain, table, *jax.device_put(leaves))
+    half = 0.5 * (space.high - space.low)
+    middle = np.tile(0.5 * (space.high + space.low), 2)
+    half = np.tile(np.where(half > 0, half, 1.0), 2)
+    size, middle, half = jax.device_put((noise, middle, half))
+    return View(
+        network, along, directions, size, network.domain, table, middle, half, ()
+    )
 
 
 @eqx.filter_jit
@@ -189,7 +230,7 @@ def gains(
     """The gain of every test beyond information L L', by kind, and its rows."""
 
     def one(u):
-        rows = view.slopes(u, at), view.errors(u, at)
+        rows = view.rows(u, at)
         return tuple(map(information_gain, lower, rows)), rows
 
     return jax.lax.map(one, u, batch_size=16)

@@ -20,7 +20,7 @@ from jaxnarx.fleet.donors import Donors, Pass, digest, open_folder
 from jaxnarx.fleet.information import warm_up
 from jaxnarx.fleet.ladder import calibrate_donors
 from jaxnarx.fleet.passes import DonorWork, FittedDonors, fit_donors
-from jaxnarx.fleet.population import Population
+from jaxnarx.fleet.population import Population, expect
 from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.fleet.residuals import colour_of
 from jaxnarx.fleet.structure import (
@@ -42,6 +42,9 @@ RUNGS = (10, 20, 50, 100, 200, 500)
 """Samples of a new engine for which the donors say what serves."""
 INTERVAL_GROUPS = 8
 """Groups of engines by which the sizes of errors are cross-validated."""
+ALONE_SPREAD = 10.0
+"""Deviation from the mean that a donor's own estimate may have, in those of the
+output."""
 SEARCH_FOLDER = "search"
 """Folder of the search for a structure, in that of the sums."""
 
@@ -160,9 +163,7 @@ def _finish(
         found.population.noise,
         jnp.asarray(colour),
     )
-    rungs, ladder = calibrate_donors(
-        dataclasses.replace(work, own=own), fitted, centred
-    )
+    ladder = calibrate_donors(dataclasses.replace(work, own=own), fitted, centred)
     remark = tuple(fitted.remark.get(n, "") for n in work.names)
     return FleetPrior(
         network,
@@ -174,11 +175,23 @@ def _finish(
         found.freedom,
         found.used,
         remark,
-        rungs,
-        ladder,
+        ladder.rungs,
+        ladder.errors,
         np.exp(_measure_left(found, fitted.sums)),
+        counts=ladder.counts,
+        by_count=ladder.by_count,
+        alone=_estimate_alone(found, fitted.sums) - mean,
         **facts,
     )
+
+
+def _estimate_alone(found: Screened, sums: Pass) -> Float[np.ndarray, "donors params"]:
+    """Coefficients of every donor by its own samples, hardly drawn to the mean."""
+    wide = np.eye(len(np.asarray(found.population.mean))) * ALONE_SPREAD
+    loose = dataclasses.replace(found.population, covariance=jnp.asarray(wide**2))
+    chunks = sums.chunks(found.used.astype(float))
+    each = [expect(sums, at, w, loose, wide).mean for sums, at, w in chunks]
+    return np.concatenate(each)[: len(found.used)]
 
 
 def _with_domain(

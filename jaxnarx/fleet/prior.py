@@ -36,7 +36,7 @@ NETWORK_FILE, ARRAYS_FILE, HEADER_FILE = (
 )
 ARRAYS = (
     *("mean", "covariance", "noise", "colour", "scale", "estimate", "distance"),
-    *("freedom", "used", "ladder", "left", "output_spread"),
+    *("freedom", "used", "ladder", "left", "output_spread", "by_count", "alone"),
 )
 
 
@@ -50,6 +50,8 @@ class FleetPrior:
     whether it was `used`, and a `remark` where it was not. `ladder` holds the mean
     logarithm of the squared error, over the variance of the output, of donors that were
     calibrated by the others from `rungs` samples, by all ways of `rivals`.
+    `by_count` is the same by donors of which there are only so many (`counts`), and
+    `alone` are coefficients of donors by their own samples, without the others.
     `left` is the usual squared error of a donor by its own coefficients,
     `output_spread` the variance of the donors' outputs, both scaled by gains. The first
     `warm_up` samples of records count nowhere.
@@ -68,6 +70,9 @@ class FleetPrior:
     ladder: Float[np.ndarray, "rungs ways outputs"]
     left: Float[np.ndarray, " outputs"]
     output_spread: Float[np.ndarray, " outputs"]
+    counts: tuple[int, ...]
+    by_count: Float[np.ndarray, "counts rungs ways outputs"]
+    alone: Float[np.ndarray, "donors params"]
     warm_up: int = 0
     gates: bool = False
     feedback: bool = False
@@ -112,6 +117,15 @@ class FleetPrior:
         own = np.exp(self.ladder[:, :, output] / 2)
         return {kind: own[:, kinds == kind].min(axis=1) for kind in KINDS}
 
+    def expected_by_donors(
+        self, output: int = 0
+    ) -> dict[int, Float[np.ndarray, " counts"]]:
+        """NRMSE of a donor that so many others calibrate, the prior's best weight, by
+        samples."""
+        kinds = np.array(self.rivals.kinds)
+        own = np.exp(self.by_count[:, :, kinds == "prior", output] / 2).min(axis=2)
+        return dict(zip(self.rungs, own.T, strict=True))
+
     @property
     def spread(self) -> Float[np.ndarray, " params"]:
         """Standard deviation of every coefficient over the population, in those of the
@@ -154,12 +168,15 @@ def save_prior(prior: FleetPrior, path: str | os.PathLike[str]) -> None:
         "ladder": prior.ladder,
         "left": prior.left,
         "output_spread": prior.output_spread,
+        "by_count": prior.by_count,
+        "alone": prior.alone,
     }
     header = {
         "format": FORMAT,
         "donors": list(prior.donors),
         "remark": list(prior.remark),
         "rungs": list(prior.rungs),
+        "counts": list(prior.counts),
         "warm_up": prior.warm_up,
         "gates": prior.gates,
         "feedback": prior.feedback,
@@ -242,6 +259,9 @@ def _restore(
         arrays["ladder"],
         arrays["left"],
         arrays["output_spread"],
+        tuple(int(n) for n in header["counts"]),
+        arrays["by_count"],
+        arrays["alone"],
         int(header["warm_up"]),
         gates,
         feedback,

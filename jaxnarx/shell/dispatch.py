@@ -61,9 +61,7 @@ def _run(command: commands.Command, typed: str) -> int:
         return _sweep(command)
     if isinstance(command, commands.Simulate):
         return _simulate(command)
-    if isinstance(
-        command, commands.FleetLearn | commands.FleetCalibrate | commands.FleetReport
-    ):
+    if isinstance(command, commands.FleetCommand):
         return _fleet(command)
     return _report(command, typed)
 
@@ -352,15 +350,15 @@ def _sweep(command: commands.Sweep) -> int:
     return 0
 
 
-def _fleet(
-    command: commands.FleetLearn | commands.FleetCalibrate | commands.FleetReport,
-) -> int:
+def _fleet(command: commands.FleetCommand) -> int:
     from jaxnarx.shell import fleet
 
     if isinstance(command, commands.FleetLearn):
         return fleet.fleet_learn(command)
     if isinstance(command, commands.FleetCalibrate):
         return fleet.fleet_calibrate(command)
+    if isinstance(command, commands.FleetCompare):
+        return fleet.fleet_compare(command)
     return fleet.fleet_report(command)
 
 

@@ -4,7 +4,7 @@ import functools
 import json
 import math
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,22 @@ import numpy as np
 
 from jaxnarx.data import Dataset, read_files, read_split
 from jaxnarx.errors import DataError, DataFileError, SpecError
-from jaxnarx.fleet import FleetPrior, calibrate, learn, load_prior, save_prior
+from jaxnarx.fleet import (
+    FleetPrior,
+    calibrate,
+    compare_records,
+    learn,
+    load_prior,
+    save_prior,
+)
 from jaxnarx.models import Network, load, save
 from jaxnarx.shell import output
-from jaxnarx.shell.commands import FleetCalibrate, FleetLearn, FleetReport
+from jaxnarx.shell.commands import (
+    FleetCalibrate,
+    FleetCompare,
+    FleetLearn,
+    FleetReport,
+)
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.fleet_page import fleet_page
 from jaxnarx.shell.messages import about, count, quote_command, say, warn
@@ -135,7 +147,7 @@ def _tell():
 def fleet_calibrate(command: FleetCalibrate) -> int:
     """Calibrate and write the model; returns the exit code."""
     prior = load_prior(command.prior)
-    data = _records(command, prior.network)
+    data = _records(command.files, command.root, prior.network)
     marks = [MODEL_FILE, CALIBRATION_FILE]
     with output.run_folder(command.out, "", force=command.force, marks=marks) as place:
         with about(command.files[0]):
@@ -164,18 +176,34 @@ def fleet_calibrate(command: FleetCalibrate) -> int:
     return 0
 
 
-def _records(command: FleetCalibrate, network: Network) -> Dataset:
-    """The new engine's records, from files or a description."""
-    if not command.files:
+def fleet_compare(command: FleetCompare) -> int:
+    """Tell whether both are of one engine; returns the exit code."""
+    prior = load_prior(command.prior)
+    parts = [
+        _records((path,), command.root, prior.network)
+        for path in (command.earlier, command.later)
+    ]
+    found = compare_records(prior, *parts)
+    say(str(found.value))
+    for name, change in found.value.changed.items():
+        say(f"  {name}: {change:+.2g} deviations of what is known of it")
+    if not found.is_okay:
+        warn(f"{found.status_name}: {found.detail}")
+    return 1 if found.value.same is False else 0
+
+
+def _records(files: Sequence[str], root: str | None, network: Network) -> Dataset:
+    """An engine's records, from files or a description."""
+    if not files:
         raise SpecError("give data files or one TOML description")
-    first = command.files[0]
+    first = files[0]
     if first.lower().endswith(".toml"):
-        split = read_description(first, command.root)
+        split = read_description(first, root)
         parts = [p for p in (split.train, split.validate, split.test) if p is not None]
         return parts[0]
     wanted, step = network.channels.measured, float(network.sample_time)
     with about(first):
-        data = read_files(command.files, wanted, sample_time=step, missing="mask")
+        data = read_files(files, wanted, sample_time=step, missing="mask")
     tell_notes(data)
     return data
 

@@ -9,7 +9,9 @@ from jaxnarx.fleet import FleetPrior
 from jaxnarx.formatting import count, list_names
 from jaxnarx.shell.figures.fleet import (
     distances,
+    errors_by_donors,
     errors_by_samples,
+    shrinkage,
     spread_of_coefficients,
 )
 from jaxnarx.shell.figures.svg import svg
@@ -37,9 +39,24 @@ def fleet_page(prior: FleetPrior) -> str:
         title = f"Error of {names[o]} by samples"
         picture = errors_by_samples(prior, o)
         parts += [_figure(svg(picture, f"errors{o}-", title)), _ladder(prior, o)]
+    if prior.counts:
+        parts.append(Markup("<h2>What more donors bring</h2>"))
+        parts += [
+            _figure(
+                svg(errors_by_donors(prior, o), f"counts{o}-", f"{names[o]} by donors")
+            )
+            for o in range(len(names))
+        ]
     parts.append(Markup("<h2>In what engines differ</h2>"))
     picture = spread_of_coefficients(prior)
     parts.append(_figure(svg(picture, "spread-", "Spread of coefficients")))
+    parts.append(
+        Markup(
+            "<p>What the fleet adds to an engine's own samples: its coefficients are "
+            "drawn to the mean where its records do not tell.</p>"
+        )
+    )
+    parts.append(_figure(svg(shrinkage(prior), "shrinkage-", "Shrinkage")))
     parts.append(Markup("<h2>Donors</h2>"))
     picture = distances(prior)
     parts += [_figure(svg(picture, "donors-", "Distances")), _donors(prior)]

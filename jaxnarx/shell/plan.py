@@ -1,7 +1,11 @@
 """The next test of a model, as files."""
 
+import functools
+from collections.abc import Callable
+
 import numpy as np
 
+from jaxnarx import fleet
 from jaxnarx.design import TestPlan, plan
 from jaxnarx.errors import SpecError
 from jaxnarx.models import load
@@ -12,8 +16,11 @@ from jaxnarx.shell.messages import count, quote_command, say, warn
 from jaxnarx.shell.next_command import tell_next
 from jaxnarx.shell.parse_ranges import parse_assignment, parse_seconds
 from jaxnarx.shell.record_files import describe, record_csv
+from jaxnarx.solution import Solution
 
 PLAN_FILE, DESCRIPTION_FILE, PREDICTED_FILE = "plan.csv", "plan.toml", "predicted.csv"
+PRIOR_SUFFIX = ".fleet"
+"""End of the name of a file that is a fleet's prior, not a model."""
 ARGUMENT_OPTIONS = {
     "ranges": "range",
     "rates": "rate",
@@ -27,11 +34,11 @@ ARGUMENT_OPTIONS = {
 def plan_test(command: Plan, typed: str) -> int:
     """Plan, write, tell; returns the exit code."""
     asked = _verb_arguments(command)
-    network = load(command.model)
+    make = _maker(command.model)
     marks = [PLAN_FILE, DESCRIPTION_FILE, PREDICTED_FILE]
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
         try:
-            found = plan(network, **asked)
+            found = make(**asked)
         except SpecError as error:
             if error.field not in ARGUMENT_OPTIONS:
                 raise
@@ -53,15 +60,20 @@ def plan_test(command: Plan, typed: str) -> int:
     if not found.is_okay:
         warn(f"{found.status_name}: limits leave little to be planned; widen them")
     say(f"wrote {PLAN_FILE}, {DESCRIPTION_FILE} and {PREDICTED_FILE} to {folder}")
-    words = (
-        "jaxnarx",
-        "check",
-        str(folder / DESCRIPTION_FILE),
-        "--model",
-        command.model,
-    )
+    if command.model.lower().endswith(PRIOR_SUFFIX):
+        words = ("jaxnarx", "fleet", "calibrate", command.model, "MEASURED.csv")
+    else:
+        plan_file = str(folder / DESCRIPTION_FILE)
+        words = ("jaxnarx", "check", plan_file, "--model", command.model)
     tell_next(quote_command(*words))
     return 0
+
+
+def _maker(path: str) -> Callable[..., Solution[TestPlan]]:
+    """What makes plans: of a model, or of a fleet."""
+    if path.lower().endswith(PRIOR_SUFFIX):
+        return functools.partial(fleet.plan, fleet.load_prior(path))
+    return functools.partial(plan, load(path))
 
 
 def _verb_arguments(command: Plan) -> dict:

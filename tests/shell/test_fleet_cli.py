@@ -88,13 +88,31 @@ def test_a_fleet_is_learnt_told_and_used(jaxnarx, place):
     assert code == 0 and (place / "told" / "report.html").read_text() == page
 
 
+def test_an_engine_is_compared_and_its_test_planned(jaxnarx, place):
+    jaxnarx("learn line.toml --out again")
+    theta = coefficients(1, 77)[0]
+    for name, own in (("same", theta), ("other", theta + [4.0, 0.0, 2.0, 0.0])):
+        write(engine(own, 200, 6), place / f"{name}.csv")
+    write(engine(theta, 200, 7), place / "first.csv")
+    code, out, err = jaxnarx("compare again/prior.fleet first.csv same.csv")
+    assert code == 0 and "still itself" in out, err
+    code, out, err = jaxnarx("compare again/prior.fleet first.csv other.csv")
+    assert code == 1 and "another, or changed" in out, err
+    command = "plan again/prior.fleet --duration 4s --out planned"
+    assert run(command.split()) == 0
+    with (place / "planned" / "plan.csv").open() as file:
+        assert len(file.readlines()) == 1 + 40
+    page = (place / "again" / "report.html").read_text()
+    assert "What more donors bring" in page and "own samples alone" in page
+
+
 def test_what_is_wrong_is_named(jaxnarx, place):
     code, _, err = jaxnarx("calibrate none.fleet new.csv")
     assert code == 3 and "none.fleet: there is no such file" in err
     code, _, err = jaxnarx("calibrate new.csv new.csv")
     assert code == 3 and "no fleet prior" in err
     code, _, err = jaxnarx("")
-    assert code == 2 and "fleet learn, fleet calibrate, fleet report" in err
+    assert code == 2 and "fleet calibrate, fleet compare, fleet report" in err
     (place / "empty.toml").write_text('[data]\nengines = ["none/*.toml"]\n')
     code, _, err = jaxnarx("learn empty.toml --out empty")
     assert code == 3 and "no file matches" in err

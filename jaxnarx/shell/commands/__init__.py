@@ -10,6 +10,7 @@ from typing import get_args
 
 from jaxnarx.settings import DESCRIPTION
 from jaxnarx.shell.commands.fleet import FleetCalibrate as FleetCalibrate
+from jaxnarx.shell.commands.fleet import FleetCompare as FleetCompare
 from jaxnarx.shell.commands.fleet import FleetLearn as FleetLearn
 from jaxnarx.shell.commands.fleet import FleetReport as FleetReport
 from jaxnarx.shell.commands.identify import Demo as Demo
@@ -37,6 +38,7 @@ def _kebab(name: str) -> str:
     return typed.replace("fleet-", "fleet ")
 
 
+FleetCommand = FleetLearn | FleetCalibrate | FleetCompare | FleetReport
 Command = (
     Describe
     | Check
@@ -53,9 +55,7 @@ Command = (
     | Export
     | ImportDcm
     | Sweep
-    | FleetLearn
-    | FleetCalibrate
-    | FleetReport
+    | FleetCommand
 )
 _DESCRIPTION_COMMANDS = (Identify, Invert, Report, Prepare)
 _DESCRIPTION_POINTER = "All keys of a description of records: `jaxnarx check --help`."

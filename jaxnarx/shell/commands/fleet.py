@@ -1,4 +1,4 @@
-"""The commands about fleets: learn from donors, calibrate an engine, report. No jax."""
+"""The commands about fleets: learn, calibrate an engine, compare, report. No jax."""
 
 import dataclasses
 from typing import Annotated
@@ -66,6 +66,27 @@ class FleetCalibrate:
     """Folder for the model."""
     force: Flag = False
     """Overwrite files of an earlier run."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FleetCompare:
+    """Tell whether an engine is still itself, from files of before and of later.
+
+    Both hold columns named like the fleet's channels. The exit code is 1 where it is
+    another engine, or has changed.
+
+    Example:
+        jaxnarx fleet compare runs/line/prior.fleet march.csv october.csv
+    """
+
+    prior: Positional[Prior]
+    """Prior file of `jaxnarx fleet learn`."""
+    earlier: Positional[Annotated[str, arg(metavar="EARLIER")]]
+    """Data file, or TOML description, of the earlier records."""
+    later: Positional[Annotated[str, arg(metavar="LATER")]]
+    """Data file, or TOML description, of the later ones."""
+    root: Folder = None
+    """Folder of the data of descriptions; default as for `jaxnarx report`."""
 
 
 @dataclasses.dataclass(frozen=True)

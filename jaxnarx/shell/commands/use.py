@@ -223,7 +223,8 @@ class Plan:
     """
 
     model: Positional[Model]
-    """Model file; it must know its domain, as what `jaxnarx identify` finds does."""
+    """Model file; it must know its domain, as what `jaxnarx identify` finds does. Or a
+    fleet's prior, FILE.fleet: then the test tells most about a new engine of it."""
     duration: Annotated[str, arg(metavar="TIME")]
     """Length of the test: 90s, 20min, 1h."""
     range: Annotated[tuple[str, ...], optional("NAME=LOW:HIGH [...]")] = ()

@@ -14,6 +14,11 @@ COLOURS = {
     "own fit": "green",
 }
 SHOWN_COEFFICIENTS = 16
+COUNT_COLOURS = "blue", "orange", "green", "red"
+MOST_SAMPLES = 100
+"""Samples up to which errors are shown over the number of donors."""
+SHRUNK_COEFFICIENTS, SHRUNK_DONORS, SHOWN_SPREADS = 8, 100, 4.0
+"""Coefficients and donors of which shrinkage is shown, and deviations at most."""
 
 
 def errors_by_samples(prior: FleetPrior, output: int) -> Picture:
@@ -53,6 +58,58 @@ def spread_of_coefficients(prior: FleetPrior) -> Picture:
         x_range=(0.0, 1.05 * float(spread.max(initial=1e-9))),
     )
     return Picture((chart,), width=8.0, height=0.8 + 0.22 * len(order))
+
+
+def errors_by_donors(prior: FleetPrior, output: int) -> Picture:
+    """NRMSE of donors over the number of others that calibrate them."""
+    table = prior.expected_by_donors(output)
+    shown = [n for n in table if n <= MOST_SAMPLES] or list(table)[:1]
+    marks = [
+        Curve(f"{n} samples", prior.counts, table[n], colour, marker="o")
+        for n, colour in zip(shown, COUNT_COLOURS, strict=False)
+    ]
+    chart = Chart(
+        tuple(marks),
+        "donors",
+        f"free run of {prior.network.output_names[output]}, NRMSE",
+        log="xy",
+        x_ticks=tuple((float(n), str(n)) for n in prior.counts),
+        legend="right",
+    )
+    return Picture((chart,), width=8.0, height=2.6)
+
+
+def shrinkage(prior: FleetPrior) -> Picture:
+    """Coefficients of donors by their own samples, and drawn to the others'."""
+    spread = np.maximum(prior.spread, 1e-12)
+    order = np.argsort(-spread)[:SHRUNK_COEFFICIENTS]
+    place = np.arange(len(order), dtype=float)
+    used = np.flatnonzero(prior.used)[:SHRUNK_DONORS]
+    alone, drawn = (
+        np.clip((v[used][:, order] / spread[order]).T, -SHOWN_SPREADS, SHOWN_SPREADS)
+        for v in (prior.alone, prior.estimate)
+    )
+    style = {"line": "", "size": 3.5, "marker": "o"}
+    kinds = (
+        ("own samples alone", alone, -0.16, "orange"),
+        ("with the fleet", drawn, 0.16, "blue"),
+    )
+    marks = [
+        Curve(name, v.ravel(), np.repeat(place + up, len(used)), colour, **style)
+        for name, v, up, colour in kinds
+    ]
+    chart = Chart(
+        (StraightLine(0.0, "x", "grey", "dashed"), *marks),
+        "deviations from the mean of the fleet, in its spreads",
+        y_ticks=tuple(
+            (float(n), shorten(prior.names[k].split(": ", 1)[-1], 44))
+            for n, k in enumerate(order.tolist())
+        ),
+        y_range=(len(order) - 0.4, -0.6),
+        x_range=(-SHOWN_SPREADS - 0.2, SHOWN_SPREADS + 0.2),
+        legend="right",
+    )
+    return Picture((chart,), width=8.0, height=0.9 + 0.36 * len(order))
 
 
 def distances(prior: FleetPrior) -> Picture:
