@@ -126,6 +126,13 @@ def test_planned_tests_of_a_fleet(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_fleet_of_hysteretic_systems(tmp_path):
+    experiment("fleets/bouc_wen.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "fleet_bouc_wen.json").read_text())["figures"]
+    assert 0 < figures["500 samples, median of seeds [m]"] < 1e-3
+
+
+@pytest.mark.slow
 def test_what_a_fleet_costs(tmp_path):
     experiment("benchmarks/fleet.py", "--results", str(tmp_path))
     figures = json.loads((tmp_path / "fleet.json").read_text())["figures"]

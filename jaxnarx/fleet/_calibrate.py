@@ -14,9 +14,10 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.fleet.broken import squared_distances
+from jaxnarx.fleet.climb import Climb, climb, sums_about
 from jaxnarx.fleet.coefficients import names_of, outputs_of
 from jaxnarx.fleet.information import Information, gather_information, parts_of
-from jaxnarx.fleet.member import know_member, prepare_member
+from jaxnarx.fleet.member import find_member, know_member, prepare_member
 from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.fleet.rivals import (
     KINDS,
@@ -34,10 +35,8 @@ BLOCKS = 5
 """Blocks of the new samples, each judged by the others."""
 FEWEST_SAMPLES_PER_BLOCK = 2
 """Samples of a block at least."""
-PASSES = 3
-"""Linearisations at most, the first about the population's mean."""
-MOVED = 1e-6
-"""Change of a coefficient, in deviations of the output, that counts as none."""
+WORSE = 10.0
+"""Multiple of the squared error by the mean from which a calibration has failed."""
 LEAST_LEARNT = 1e-6
 """Share of the population's variance that samples must remove to tell anything."""
 FOREIGN_PROBABILITY = 1e-6
@@ -93,8 +92,8 @@ def calibrate(prior: FleetPrior, few: Dataset) -> Solution[Network]:
     found = _Estimate.of(prior, runs)
     value = prior.coefficients.place(jnp.asarray(found.chosen))
     stats = _stats(prior, found, counted)
-    after = found.about(found.chosen)
-    if not np.all(np.isfinite(after.square)) or _worse(after, found):
+    after = _square(prior, runs, found.chosen)
+    if not np.all(np.isfinite(after)) or np.any(after > WORSE * found.before + 1e-9):
         text = "calibrated, the free run leaves its bounds; the mean is returned"
         return Solution(prior.network, RESULTS.diverged, stats, text)
     value = _with_intervals(prior, value, found)
@@ -139,22 +138,22 @@ class _Estimate:
 
     prior: FleetPrior
     runs: Prepared
-    part: Int[jax.Array, "records time"]
-    first: Information
+    sums: Information
+    before: Float[np.ndarray, " outputs"]
     score: Float[np.ndarray, "ways outputs"]
     way: Int[np.ndarray, " outputs"]
     chosen: Float[np.ndarray, " params"]
 
     @classmethod
     def of(cls, prior: FleetPrior, runs: Prepared) -> "_Estimate":
-        """Score all ways about the population's mean, then follow the best."""
-        params = len(prior.coefficients.free)
-        zero = np.zeros(params)
+        """Score all ways, then follow the best."""
+        zero = np.zeros(len(prior.coefficients.free))
         edges, blocks = _blocks(runs)
-        part = jax.device_put(parts_of(runs, edges))
-        sums = gather_information(prior.coefficients, zero, runs, part, BLOCKS)
-        sums = Information(*map(np.asarray, sums))
+        part = parts_of(runs, edges)
+        at = find_member(prior, runs)
+        sums = sums_about(prior.coefficients, at, runs, part, BLOCKS)
         total = sums.total()
+        before = _square(prior, runs, zero) if np.any(at) else np.asarray(total.square)
         noise = np.asarray(prior.population.noise)
         colour = np.asarray(prior.population.colour)
         rivals = prior.rivals
@@ -162,53 +161,49 @@ class _Estimate:
         donors = at_samples(prior.rungs, prior.ladder, float(samples.max()))
         if blocks > 1:
             own = judge_by_blocks(rivals, sums, zero, noise, blocks)
+            own[rivals.kinds.index("as is")] = before / np.maximum(samples, 1.0)
             # Smaller errors than donors' own coefficients leave are chance.
             own = np.log(np.maximum(own, prior.left) / prior.output_spread)
         else:
             own = donors
         way, score = choose(rivals, donors, own, samples, colour)
-        given = cls(prior, runs, part, total, score, way, zero)
-        at, about = zero, total
-        for _ in range(PASSES):
-            moved = given._combined(about, at, rivals, way)
-            if np.max(np.abs(moved - at), initial=0.0) < MOVED:
-                break
-            after = given.about(moved)
-            if _linear(about, after, moved - at) or not np.all(
-                np.isfinite(after.square)
-            ):
-                at = moved
-                break
-            at, about = moved, after
-        return dataclasses.replace(given, chosen=at)
+        given = cls(prior, runs, total, before, score, way, at)
+        return dataclasses.replace(given, chosen=given._follow())
 
-    def about(self, v: Float[np.ndarray, " params"]) -> Information:
-        """The sums of all samples about these coefficients."""
-        own = self.prior.coefficients
-        found = gather_information(own, v, self.runs, self.part, BLOCKS)
-        return Information(*map(np.asarray, found)).total()
-
-    def _combined(self, about: Information, at, rivals, way) -> np.ndarray:
+    def _follow(self) -> Float[np.ndarray, " params"]:
         """Coefficients of every output by its own way."""
-        noise = np.asarray(self.prior.population.noise)
-        one = Information(*(np.asarray(a)[None] for a in about))
-        given = rivals.weight, rivals.mean, rivals.root
-        found = estimate_each(one, at, 1.0 / noise, *given)[0]
-        owner = outputs_of(self.prior.coefficients)
+        prior, rivals = self.prior, self.prior.rivals
+        noise = np.asarray(prior.population.noise)
+        if prior.linear:
+            one = Information(*(np.asarray(a)[None] for a in self.sums))
+            given = rivals.weight, rivals.mean, rivals.root
+            found = estimate_each(one, np.zeros_like(self.chosen), 1.0 / noise, *given)
+            found = dict(enumerate(found[0]))
+        else:
+            found = {w: self._climb(w, noise) for w in set(self.way.tolist())}
+        owner = outputs_of(prior.coefficients)
         # Coefficients of hidden channels are those of the first output's way.
-        owner = np.where(owner < len(way), owner, 0)
-        return found[way[owner], np.arange(found.shape[1])]
+        way = self.way[np.where(owner < len(self.way), owner, 0)]
+        return np.array([found[w][n] for n, w in enumerate(way.tolist())])
+
+    def _climb(
+        self, way: int, noise: Float[np.ndarray, " outputs"]
+    ) -> Float[np.ndarray, " params"]:
+        """The most probable coefficients by one way."""
+        rivals = self.prior.rivals
+        count = noise / rivals.weight[way]
+        drawn = Climb(rivals.mean[way], rivals.root[way], count, known_noise=True)
+        part = jax.device_put(parts_of(self.runs, ()))
+        return climb(self.prior.coefficients, self.runs, part, drawn, self.chosen)
 
 
-def _linear(before: Information, after: Information, step: np.ndarray) -> bool:
-    """Whether the loss is what the sums before expected of the step."""
-    return np.allclose(before.loss(step), after.square, rtol=1e-3, atol=1e-12)
-
-
-def _worse(after: Information, found: _Estimate) -> bool:
-    """Whether the new samples themselves are far worse than by the mean."""
-    before = np.asarray(found.first.square)
-    return bool(np.any(np.asarray(after.square) > 10.0 * before + 1e-9))
+def _square(
+    prior: FleetPrior, runs: Prepared, v: Float[np.ndarray, " params"]
+) -> Float[np.ndarray, " outputs"]:
+    """Squared errors of the run by these coefficients."""
+    part = jax.device_put(parts_of(runs, ()))
+    found = gather_information(prior.coefficients, v, runs, part, 1)
+    return np.asarray(found.square)[0]
 
 
 def _blocks(runs: Prepared) -> tuple[tuple[int, ...], int]:
@@ -229,11 +224,11 @@ def _stats(
         for kind in KINDS
         for s in [found.score[kinds == kind].min(axis=0)]
     }
-    one = Information(*(np.asarray(a)[None] for a in found.first))
+    one = Information(*(np.asarray(a)[None] for a in found.sums))
     zero = np.zeros((1, len(prior.coefficients.free)))
     square, freedom = squared_distances(one, zero, prior.population)
     square, freedom = float(square[0]), float(freedom[0])
-    own = know_member(prior, found.first)
+    own = know_member(prior, found.sums)
     spread = np.maximum(prior.spread, 1e-12)
     unusual = own.mean / spread
     order = np.argsort(-np.abs(unusual))[:NAMED]
@@ -275,7 +270,7 @@ def _with_intervals(prior: FleetPrior, value: Network, found: _Estimate) -> Netw
     errors = prior.network.errors
     if errors is None:
         return value
-    samples = float(np.asarray(found.first.samples).max())
+    samples = float(np.asarray(found.sums.samples).max())
     table = at_samples(prior.rungs, prior.ladder, samples)
     own = table[found.way, np.arange(len(found.way))]
     wider = np.maximum(own - np.log(prior.left / prior.output_spread), 0.0) / 2

@@ -180,6 +180,7 @@ def _finish(
         np.exp(_measure_left(found, fitted.sums)),
         counts=ladder.counts,
         by_count=ladder.by_count,
+        linear=fitted.linear,
         alone=_estimate_alone(found, fitted.sums) - mean,
         **facts,
     )

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.files import write_whole
+from jaxnarx.fleet.climb import Climb, climb
 from jaxnarx.fleet.coefficients import FleetCoefficients
 from jaxnarx.fleet.information import (
     Information,
@@ -49,19 +50,21 @@ class SumsShape:
 
     @property
     def row(self) -> int:
-        """Numbers of a donor."""
-        return self.outputs * (2 + self.params + self.params**2)
+        """Numbers of a donor: where the sums are about, and the sums."""
+        return self.params + self.outputs * (2 + self.params + self.params**2)
 
-    def flat(self, information: Information) -> Float[np.ndarray, " row"]:
-        """The sums as one row."""
-        return np.concatenate([np.asarray(a).reshape(-1) for a in information])
+    def flat(
+        self, at: Float[np.ndarray, " params"], information: Information
+    ) -> Float[np.ndarray, " row"]:
+        """Sums and their place as one row."""
+        return np.concatenate([np.asarray(a).reshape(-1) for a in (at, *information)])
 
     def unflat(self, rows: Float[np.ndarray, "donors row"]) -> Information:
         """The sums of some rows."""
         p, o = self.params, self.outputs
         sizes = ((o,), (o, p), (o, p, p), (o,))
         edges = np.cumsum([int(np.prod(s)) for s in sizes])[:-1]
-        parts = np.split(np.asarray(rows), edges, axis=1)
+        parts = np.split(np.asarray(rows)[:, p:], edges, axis=1)
         pairs = zip(parts, sizes, strict=True)
         return Information(*(a.reshape(len(a), *s) for a, s in pairs))
 
@@ -130,14 +133,16 @@ def gather_donors(
     donors: Donors,
     names: list[str],
     coefficients: FleetCoefficients,
-    at: Float[np.ndarray, "donors params"],
+    start: Float[np.ndarray, "donors params"],
+    drawn: Climb | None,
     table: DonorTable,
     shape: SumsShape,
     skip: int,
     remark: dict[str, str],
     tell: Callable[[int], None],
 ) -> None:
-    """Fill the table: sums of every donor about its own place.
+    """Fill the table: sums of every donor about its start, or about the most probable
+    coefficients near it where it is told what they are drawn from.
 
     A donor that cannot be run has zeros, and a remark.
     """
@@ -149,8 +154,11 @@ def gather_donors(
             try:
                 runs = prepare_donor(coefficients.layout.base, data, skip)
                 part = jax.device_put(parts_of(runs, ()))
-                found = gather_information(coefficients, at[n], runs, part, 1)
-                row = shape.flat(found.total())
+                at = start[n]
+                if drawn is not None:
+                    at = climb(coefficients, runs, part, drawn, at)
+                found = gather_information(coefficients, at, runs, part, 1)
+                row = shape.flat(at, found.total())
                 if not np.all(np.isfinite(row)):
                     raise DataError("the free run of the population's network diverges")
             except (DataError, SpecError) as error:
@@ -183,7 +191,11 @@ class Pass:
 
     table: DonorTable
     shape: SumsShape
-    at: Float[np.ndarray, "donors params"]
+
+    @property
+    def at(self) -> Float[np.ndarray, "donors params"]:
+        """What the sums are about."""
+        return np.asarray(self.table.rows[:, : self.shape.params])
 
     def one(self, n: int) -> Information:
         """The sums of one donor."""

@@ -48,6 +48,13 @@ class Information(NamedTuple):
         bent = np.einsum("...opq,...p,...q->...o", self.gram, step, step)
         return np.maximum(np.asarray(self.square) + 2 * linear + bent, 0.0)
 
+    def moved(self, step: Float[np.ndarray, " params"]) -> "Information":
+        """The same sums told about a place a step away; host."""
+        gram, right = np.asarray(self.gram), np.asarray(self.right)
+        bent = np.einsum("...opq,q->...op", gram, step)
+        square = np.asarray(self.square) + (2 * right + bent) @ step
+        return Information(square, right + bent, gram, self.samples)
+
     def total(self) -> "Information":
         """The sums over all parts, the axis before the outputs."""
         axes = (-2, -3, -4, -2)

@@ -1,14 +1,21 @@
 """Donors calibrated by the others, from few of their samples, then from more."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxnarx.fleet.information import Information, gather_information, parts_of
+from jaxnarx.fleet.climb import Climb, climb, sums_about
+from jaxnarx.fleet.information import Information, parts_of
 from jaxnarx.fleet.passes import DonorWork, FittedDonors
-from jaxnarx.fleet.population import Population, begin_population, fit_population
+from jaxnarx.fleet.population import (
+    Population,
+    begin_population,
+    fit_population,
+    root_of,
+)
 from jaxnarx.fleet.prior import rivals_of
 from jaxnarx.fleet.rivals import judge_by_samples
 from jaxnarx.simulation import Prepared
@@ -24,6 +31,8 @@ MOST_SHARE = 0.4
 """Share of a record that calibrates at most."""
 COUNTS = 8, 16, 32, 64, 128
 """Donors that calibrate some others: what more of them bring."""
+RUNG_STEPS = 15
+"""Runs at most, of every rung, where they are not linear in the coefficients."""
 FOLD_STEPS = 10
 """Steps of the EM algorithm without a part, from those with all."""
 
@@ -54,18 +63,23 @@ def calibrate_donors(
     rungs = tuple(r for r in work.rungs if r <= most) or (max(1, most),)
     parts = min(FOLDS, len(judged))
     begins = [BEGIN_SHARES[n // parts % len(BEGIN_SHARES)] for n in range(len(judged))]
-    each = [
-        _sums_of(work, runs, int(share * usual), rungs)
-        for runs, share in zip(prepared, begins, strict=True)
-    ]
     rows: list[np.ndarray] = []
+    each: list[_Judged] = []
     for fold in range(parts):
         weight = found.used.astype(float)
         weight[judged[fold::parts]] = 0.0
         if weight.any():
             chunks = fitted.sums.chunks(weight)
             others = fit_population(chunks, found.population, FOLD_STEPS)[0]
-            rows += _errors(work, each[fold::parts], others, found.population)
+            centre = others.mean - found.population.mean
+            others = dataclasses.replace(others, mean=centre)
+            drawn = None if fitted.linear else _climb_from(others, population)
+            of_fold = [
+                _sums_of(work, prepared[n], int(begins[n] * usual), rungs, drawn)
+                for n in range(fold, len(judged), parts)
+            ]
+            rows += _errors(work, of_fold, others)
+            each = each or of_fold
     ways = len(rivals_of(work.own, population))
     shape = len(rungs), ways, work.shape.outputs
     errors = _mean(rows, shape)
@@ -74,7 +88,9 @@ def calibrate_donors(
     by_count = np.zeros((len(counts), *shape))
     for row, n in zip(by_count, counts, strict=True):
         few = _few(fitted, rest[:n])
-        row[:] = _mean(_errors(work, each[::parts], few, found.population), shape)
+        centre = few.mean - found.population.mean
+        few = dataclasses.replace(few, mean=centre)
+        row[:] = _mean(_errors(work, each, few), shape)
     return Ladder(rungs, errors, counts, by_count)
 
 
@@ -95,41 +111,63 @@ def _mean(rows: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
     return np.mean(rows, axis=0) if rows else np.zeros(shape)
 
 
+def _climb_from(others: Population, population: Population) -> Climb:
+    """What a donor's coefficients are drawn from by the others."""
+    root = root_of(np.asarray(others.covariance))
+    return Climb(np.asarray(others.mean), root, np.asarray(population.colour))
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Judged:
-    """Sums of a donor that is judged, by rung and of its last samples, and the variance
-    of these."""
+    """Sums of a donor that is judged, by rung and of its last samples, as they are seen
+    from every rung; the variance of these, and their squared error by the mean."""
 
-    sums: Information
+    sums: tuple[Information, ...]
     spread: Float[np.ndarray, " outputs"]
+    as_is: Float[np.ndarray, " outputs"]
 
 
 def _sums_of(
-    work: DonorWork, runs: Prepared, first: int, rungs: tuple[int, ...]
+    work: DonorWork,
+    runs: Prepared,
+    first: int,
+    rungs: tuple[int, ...],
+    drawn: Climb | None,
 ) -> _Judged:
-    """Sums by which a donor is judged, behind its `first` samples."""
+    """Sums by which a donor is judged, behind its `first` samples: about the mean, or
+    about the most probable coefficients by the samples of every rung."""
     zero = np.zeros(work.shape.params)
     edges = (first, *(first + n for n in rungs)) if first else rungs
     part = parts_of(runs, edges) - (1 if first else 0)
-    at = jax.device_put(part)
-    sums = gather_information(work.own, zero, runs, at, len(rungs) + 1)
+    parts = len(rungs) + 1
+    about_mean = sums_about(work.own, zero, runs, part, parts)
+    every = (about_mean,) * len(rungs)
+    if drawn is not None and np.all(about_mean.samples > 0):
+        at, found = drawn.mean, []
+        for rung in range(len(rungs)):
+            known = jax.device_put(np.where((part >= 0) & (part <= rung), 0, -1))
+            at = climb(work.own, runs, known, drawn, at, RUNG_STEPS)
+            found.append(sums_about(work.own, at, runs, part, parts))
+        every = tuple(found)
     y = np.asarray(runs.drive.measured)[..., : work.shape.outputs]
     last = y[np.asarray(part) == len(rungs)]
     spread = last.var(axis=0) if len(last) else np.zeros(y.shape[-1])
-    return _Judged(Information(*map(np.asarray, sums)), np.maximum(spread, 1e-12))
+    return _Judged(every, np.maximum(spread, 1e-12), np.asarray(about_mean.square)[-1])
 
 
 def _errors(
-    work: DonorWork, judged: list[_Judged], others: Population, about: Population
+    work: DonorWork, judged: Sequence[_Judged], others: Population
 ) -> list[Float[np.ndarray, "rungs ways outputs"]]:
     """Logarithms of squared errors over the variance, of donors that others calibrate;
-    NaN where a donor has not all the samples."""
-    others = dataclasses.replace(others, mean=others.mean - about.mean)
+    those without all the samples are left out."""
     ways, noise = rivals_of(work.own, others), np.asarray(others.noise)
     zero, rows = np.zeros(work.shape.params), []
     for one in judged:
-        host = one.sums
-        if np.all(host.samples > 0) and np.all(np.isfinite(host.gram)):
-            error = judge_by_samples(ways, host, zero, noise)
+        fine = [np.all(s.samples > 0) and np.all(np.isfinite(s.gram)) for s in one.sums]
+        if all(fine):
+            found = [judge_by_samples(ways, s, zero, noise) for s in one.sums]
+            error = np.stack([e[rung] for rung, e in enumerate(found)])
+            count = np.asarray(one.sums[0].samples)[-1]
+            error[:, ways.kinds.index("as is")] = one.as_is / count
             rows.append(np.log(np.maximum(error / one.spread, 1e-12)))
     return rows

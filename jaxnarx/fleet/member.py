@@ -5,12 +5,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset
-from jaxnarx.fleet.information import (
-    Information,
-    gather_information,
-    parts_of,
-    skip_begin,
-)
+from jaxnarx.fleet.climb import Climb, climb, sums_about
+from jaxnarx.fleet.information import Information, parts_of, skip_begin
 from jaxnarx.fleet.population import Posterior, posterior, root_of
 from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.simulation import Prepared, prepare
@@ -22,12 +18,23 @@ def prepare_member(prior: FleetPrior, data: Dataset) -> Prepared:
 
 
 def sum_records(prior: FleetPrior, data: Dataset) -> Information:
-    """Sums of records about the population's mean."""
+    """Sums of records, told about the population's mean."""
     runs = prepare_member(prior, data)
+    at = find_member(prior, runs)
+    return sums_about(prior.coefficients, at, runs, parts_of(runs, ()), 1).total()
+
+
+def find_member(prior: FleetPrior, runs: Prepared) -> Float[np.ndarray, " params"]:
+    """Coefficients that sums are expanded about: the population's mean, or where runs
+    are not linear in them the most probable ones."""
+    population = prior.population
+    mean = np.zeros(len(prior.coefficients.free))
+    if prior.linear:
+        return mean
     part = jax.device_put(parts_of(runs, ()))
-    zero = np.zeros(len(prior.coefficients.free))
-    found = gather_information(prior.coefficients, zero, runs, part, 1)
-    return Information(*map(np.asarray, found)).total()
+    root, colour = root_of(population.covariance), np.asarray(population.colour)
+    drawn = Climb(np.asarray(population.mean), root, colour)
+    return climb(prior.coefficients, runs, part, drawn, mean)
 
 
 def coloured_precision(prior: FleetPrior) -> Float[np.ndarray, " outputs"]:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from jaxnarx.arrays import Progress
 from jaxnarx.errors import DataError
 from jaxnarx.fleet.broken import Screened, find_broken
+from jaxnarx.fleet.climb import Climb
 from jaxnarx.fleet.coefficients import FleetCoefficients
 from jaxnarx.fleet.donors import (
     Donors,
@@ -20,10 +21,14 @@ from jaxnarx.fleet.donors import (
     prepare_donor,
 )
 from jaxnarx.fleet.information import gather_information, parts_of
+from jaxnarx.fleet.population import root_of
 from jaxnarx.simulation import Prepared
 
-PASSES = 3
+PASSES = 4
 """Linearisations at most, the first about the network as it was given."""
+BEGIN_SPREAD = 0.5
+"""Deviation of coefficients by which donors are first fitted one by one, in deviations
+of the output."""
 LINEAR_SHARE = 1e-3
 """Share of the loss by which it may differ from what was expected to first order."""
 PROBED_DONORS = 8
@@ -48,7 +53,13 @@ class DonorWork:
         network = self.own.layout.base
         return SumsShape(len(network.modelled), len(self.own.free))
 
-    def gather(self, number: int, at: np.ndarray, remark: dict[str, str]) -> Pass:
+    def gather(
+        self,
+        number: int,
+        start: np.ndarray,
+        drawn: Climb | None,
+        remark: dict[str, str],
+    ) -> Pass:
         """Sums of all donors, each about its own coefficients."""
         every = len(self.names)
         name, row = f"pass{number}", self.shape.row
@@ -59,9 +70,9 @@ class DonorWork:
                 event = {"verb": "learn", "pass": number + 1, "done": n + 1}
                 self.progress(event | {"of": every})
 
-        own = self.donors, self.names, self.own, at, table, self.shape, self.skip
-        gather_donors(*own, remark, tell)
-        return Pass(table, self.shape, at)
+        own = self.donors, self.names, self.own, start, drawn
+        gather_donors(*own, table, self.shape, self.skip, remark, tell)
+        return Pass(table, self.shape)
 
     def runs(self, n: int) -> Prepared:
         """The prepared records of a donor."""
@@ -79,22 +90,39 @@ class FittedDonors:
     remark: dict[str, str]
     passes: int
 
+    @property
+    def linear(self) -> bool:
+        """Whether runs are linear in the coefficients that differ."""
+        return self.passes == 1
+
 
 def fit_donors(work: DonorWork) -> FittedDonors:
-    """The population, from sums about the network, then about every donor's own
-    coefficients until a run loses what the last sums expect."""
-    fitted = _pass(work, 0, np.zeros((len(work.names), work.shape.params)))
+    """The population, from sums about the network; where runs lose other than these
+    expect, from sums about the most probable coefficients of every donor."""
+    params = work.shape.params
+    zero = np.zeros((len(work.names), params))
+    fitted = _pass(work, 0, zero, None)
+    colour = np.ones(work.shape.outputs)
+    # What linear runs say of runs that are not is no start.
+    start = zero
+    drawn = Climb(np.zeros(params), BEGIN_SPREAD * np.eye(params), colour)
     while fitted.passes < PASSES and not _as_expected(work, fitted):
-        fitted = _pass(work, fitted.passes, fitted.screened.estimate)
+        fitted = _pass(work, fitted.passes, start, drawn)
+        found = fitted.screened.population
+        root = root_of(np.asarray(found.covariance))
+        start, drawn = fitted.sums.at, Climb(np.asarray(found.mean), root, colour)
     return fitted
 
 
 def _pass(
-    work: DonorWork, number: int, at: Float[np.ndarray, "donors params"]
+    work: DonorWork,
+    number: int,
+    start: Float[np.ndarray, "donors params"],
+    drawn: Climb | None,
 ) -> FittedDonors:
-    """The population from sums about these coefficients."""
+    """The population from sums about coefficients near these."""
     remark: dict[str, str] = {}
-    sums = work.gather(number, at, remark)
+    sums = work.gather(number, start, drawn, remark)
     there = _have_samples(sums, work.names, remark)
     found = find_broken(sums.chunks, there, work.own.layout.base.output_names)
     notes = remark | {work.names[n]: text for n, text in found.remark.items()}

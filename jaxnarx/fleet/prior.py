@@ -52,6 +52,7 @@ class FleetPrior:
     calibrated by the others from `rungs` samples, by all ways of `rivals`.
     `by_count` is the same by donors of which there are only so many (`counts`), and
     `alone` are coefficients of donors by their own samples, without the others.
+    `linear` says whether runs are linear in the coefficients that differ.
     `left` is the usual squared error of a donor by its own coefficients,
     `output_spread` the variance of the donors' outputs, both scaled by gains. The first
     `warm_up` samples of records count nowhere.
@@ -73,6 +74,7 @@ class FleetPrior:
     counts: tuple[int, ...]
     by_count: Float[np.ndarray, "counts rungs ways outputs"]
     alone: Float[np.ndarray, "donors params"]
+    linear: bool = True
     warm_up: int = 0
     gates: bool = False
     feedback: bool = False
@@ -177,6 +179,7 @@ def save_prior(prior: FleetPrior, path: str | os.PathLike[str]) -> None:
         "remark": list(prior.remark),
         "rungs": list(prior.rungs),
         "counts": list(prior.counts),
+        "linear": prior.linear,
         "warm_up": prior.warm_up,
         "gates": prior.gates,
         "feedback": prior.feedback,
@@ -262,6 +265,7 @@ def _restore(
         tuple(int(n) for n in header["counts"]),
         arrays["by_count"],
         arrays["alone"],
+        bool(header["linear"]),
         int(header["warm_up"]),
         gates,
         feedback,

@@ -66,9 +66,9 @@ def pool_donors(donors: Donors, names: list[str]) -> Dataset:
 def widen_ranges(network: Network, pooled: Dataset) -> Network:
     """The network with ranges of all donors, and bounds that let engines differ."""
     low, high = ranges(match_records(network, pooled))
-    kind = network.low.dtype
-    low = jnp.minimum(network.low, jnp.asarray(low, kind))
-    high = jnp.maximum(network.high, jnp.asarray(high, kind))
+    # Hidden channels, behind those measured, keep the ranges of their training.
+    low = network.low.at[: len(low)].min(low)
+    high = network.high.at[: len(high)].max(high)
     return set_bounds(dataclasses.replace(network, low=low, high=high), BOUND_WIDTHS)
 
 
