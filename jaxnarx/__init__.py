@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from jaxnarx.docstrings import document
 
 if TYPE_CHECKING:
+    from jaxnarx import calibration as calibration
     from jaxnarx import confidence as confidence
     from jaxnarx import data as data
     from jaxnarx import design as design
@@ -122,9 +123,9 @@ _ROOM_BY_NAME = {
 _ROOM_MODULES = {
     name: f"jaxnarx.{name}"
     for name in (
-        "confidence data design engines errors evaluation excitation exporters fleet "
-        "identification inverse linear metrics models partition refinement "
-        "regressors selection settings simulation sweep"
+        "calibration confidence data design engines errors evaluation excitation "
+        "exporters fleet identification inverse linear metrics models partition "
+        "refinement regressors selection settings simulation sweep"
     ).split()
 }
 

@@ -38,6 +38,7 @@ class RESULTS(eqx.Enumeration):
     too_short = "There are too few samples."
     crashed = "The computation failed."
     not_run = "The computation was not started."
+    infeasible = "No values keep all limits."
 
 
 STATUS_NAMES: tuple[str, ...] = (
@@ -53,6 +54,7 @@ STATUS_NAMES: tuple[str, ...] = (
     "too_short",
     "crashed",
     "not_run",
+    "infeasible",
 )
 OKAY_STATUSES = 4
 """Number of leading statuses that are informative ends rather than failures."""

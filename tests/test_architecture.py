@@ -52,7 +52,7 @@ HOUSE = [
     ["partition"],
     ["exporters"],
     ["linear", "inverse", "design", "evaluation"],
-    ["identification"],
+    ["identification", "calibration"],
     ["fleet", "sweep"],
     # Floor 4, and the checks that users run over their extensions.
     ["shell", "contracts"],

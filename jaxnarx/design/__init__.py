@@ -30,6 +30,7 @@ from jaxnarx.design.sensitivity import (
     ResponseSensitivity,
     network_sensitivity,
 )
+from jaxnarx.design.sensitivity import rest_run as rest_run
 from jaxnarx.design.views import make_view as make_view
 from jaxnarx.docstrings import document
 from jaxnarx.settings import OptimalDesign

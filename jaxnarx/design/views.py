@@ -103,9 +103,7 @@ class View(eqx.Module):
 
     def index(self, u: Float[Array, "time inputs"]) -> Float[Array, " time"]:
         """Index of the domain, one at its border."""
-        own = u[:, np.array(self.domain.inputs)]
-        step = jnp.diff(own, axis=0, prepend=own[:1]).T
-        return self.domain.layers(self.features(u), step)[0].max(axis=1)
+        return self.domain.index(u, self.network.sample_time)
 
     def slopes(
         self, u: Float[Array, "time inputs"], at: Int[Array, " rows"]

@@ -6,10 +6,11 @@ precision, 17 at most; tools that hold single precision keep nine of them. Texts
 ISO 8859-1.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxnarx.exporters.calibration import CalibrationBlock, read_dcm
 from jaxnarx.exporters.code import digits
@@ -95,20 +96,39 @@ def _table(name: str, table: ParameterTable) -> Iterable[str]:
 
 
 def _map(block: str, function: str, found: RestMap) -> Iterable[str]:
-    size = " ".join(str(len(points)) for points in found.points)
     over = " and ".join(port.name for port in found.axes)
-    yield f"{'KENNFELD' if len(found.axes) > 1 else 'KENNLINIE'} {block} {size}"
-    yield f'  LANGNAME "{sanitise(f"{found.output.name} at rest over {over}")}"'
+    about = f"{found.output.name} at rest over {over}"
+    axes = [(points, port.unit) for points, port in zip(found.points, found.axes)]  # noqa: B905
+    yield from map_lines(block, function, about, axes, found.output.unit, found.values)
+
+
+def map_lines(
+    block: str,
+    function: str,
+    about: str,
+    axes: Sequence[tuple[Float[np.ndarray, " _"], str]],
+    unit: str,
+    values: Float[np.ndarray, "*shape"],
+) -> Iterable[str]:
+    """A scalar, curve or map: its points and their units by axis, and its values, first
+    axis first."""
+    kind = ("FESTWERT", "KENNLINIE", "KENNFELD")[len(axes)]
+    yield " ".join([kind, block, *(str(len(points)) for points, _ in axes)])
+    yield f'  LANGNAME "{sanitise(about)}"'
     yield f"  FUNKTION {function}"
-    for axis, port in zip("XY", found.axes, strict=False):
-        yield f'  EINHEIT_{axis} "{sanitise(port.unit)}"'
-    yield f'  EINHEIT_W "{sanitise(found.output.unit)}"'
-    first, *second = found.points
+    for letter, (_, own) in zip("XY", axes, strict=False):
+        yield f'  EINHEIT_{letter} "{sanitise(own)}"'
+    yield f'  EINHEIT_W "{sanitise(unit)}"'
+    if not axes:
+        yield f"  WERT {digits(float(values))}"
+        yield "END"
+        return
+    (first, _), *second = axes
     yield f"  ST/X {' '.join(map(digits, first))}"
-    columns = found.values.reshape(len(first), -1).T
+    columns = np.asarray(values).reshape(len(first), -1).T
     for k, column in enumerate(columns):
         if second:
-            yield f"  ST/Y {digits(second[0][k])}"
+            yield f"  ST/Y {digits(second[0][0][k])}"
         yield f"  WERT {' '.join(map(digits, column))}"
     yield "END"
 

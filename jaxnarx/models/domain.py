@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxnarx.arrays import map_blocks, twin
-from jaxnarx.regressors import Variables
+from jaxnarx.regressors import Variables, record_columns
 
 LAYERS = ("range", "rate", "joint", "distance")
 BLOCK_SAMPLES = 256
@@ -89,6 +89,16 @@ class Domain(eqx.Module):
         return map_blocks(
             lambda columns: self._layers(*columns), (x, step), BLOCK_SAMPLES
         )
+
+    def index(
+        self, u: Float[Array, "time inputs"], sample_time: Float[Array, ""]
+    ) -> Float[Array, " time"]:
+        """The index of inputs over time, one at its border; filters begin at rest."""
+        at = jnp.arange(u.shape[0])
+        x = record_columns(u, None, at, self.features, sample_time)
+        own = u[:, np.array(self.inputs)]
+        step = jnp.diff(own, axis=0, prepend=own[:1]).T
+        return self.layers(x, step)[0].max(axis=1)
 
     def _layers(self, x, step):
         value = x[: len(self.inputs)]

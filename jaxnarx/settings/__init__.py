@@ -1,6 +1,12 @@
 """Settings of the verbs: frozen and jax-free, so that the command line can use them."""
 
 from jaxnarx.settings.anova import Anova
+from jaxnarx.settings.calibration import TIME as TIME
+from jaxnarx.settings.calibration import Calibratable as Calibratable
+from jaxnarx.settings.calibration import CalibrationSearch as CalibrationSearch
+from jaxnarx.settings.calibration import CalibrationTask as CalibrationTask
+from jaxnarx.settings.calibration import CycleLimit as CycleLimit
+from jaxnarx.settings.calibration import Measure as Measure
 from jaxnarx.settings.description import DESCRIPTION as DESCRIPTION
 from jaxnarx.settings.design import OptimalDesign
 from jaxnarx.settings.fields import field_hints as field_hints

@@ -57,6 +57,8 @@ def _run(command: commands.Command, typed: str) -> int:
         return _import_dcm(command)
     if isinstance(command, commands.Plan):
         return _plan(command, typed)
+    if isinstance(command, commands.Calibrate):
+        return _calibrate(command, typed)
     if isinstance(command, commands.Sweep):
         return _sweep(command)
     if isinstance(command, commands.Simulate):
@@ -341,6 +343,12 @@ def _invert(command: commands.Invert, typed: str) -> int:
     words = ["jaxnarx", "simulate", model, "wanted.csv", "--through", command.model]
     tell_next(quote_command(*words))
     return 0
+
+
+def _calibrate(command: commands.Calibrate, typed: str) -> int:
+    from jaxnarx.shell.calibrate import calibrate_maps
+
+    return calibrate_maps(command, typed)
 
 
 def _sweep(command: commands.Sweep) -> int:

@@ -62,6 +62,20 @@ def test_a_population_that_does_not_differ_has_nothing_to_tell():
         jnx.fleet.plan(dataclasses.replace(prior, population=population), duration=3.0)
 
 
+def test_engines_are_drawn_from_the_population():
+    prior = learnt().value
+    some = jnx.fleet.draw_engines(prior, 64, seed=3)
+    again = jnx.fleet.draw_engines(prior, 64, seed=3)
+    own = prior.coefficients
+    at = np.asarray(own.free)
+    rows = np.stack([np.asarray(own.layout.gather(n))[at] for n in some])
+    same = np.stack([np.asarray(own.layout.gather(n))[at] for n in again])
+    np.testing.assert_array_equal(rows, same)
+    found = (rows - np.asarray(own.start)[at]) / np.asarray(own.scale)
+    spread = np.sqrt(np.diag(np.asarray(prior.population.covariance)))
+    np.testing.assert_allclose(found.std(axis=0), spread, rtol=0.4, atol=1e-3)
+
+
 def test_what_makes_no_sense_is_refused():
     with pytest.raises(SpecError, match="duration"):
         planned(-1.0)

@@ -9,6 +9,7 @@ import re
 from typing import get_args
 
 from jaxnarx.settings import DESCRIPTION
+from jaxnarx.shell.commands.calibrate import Calibrate as Calibrate
 from jaxnarx.shell.commands.fleet import FleetCalibrate as FleetCalibrate
 from jaxnarx.shell.commands.fleet import FleetCompare as FleetCompare
 from jaxnarx.shell.commands.fleet import FleetLearn as FleetLearn
@@ -52,6 +53,7 @@ Command = (
     | Report
     | Plan
     | Simulate
+    | Calibrate
     | Export
     | ImportDcm
     | Sweep

@@ -20,6 +20,7 @@ TASK_COMMANDS = {
     },
     "use": {
         "simulate": "Run a model on new files.",
+        "calibrate": "Optimise maps of a control unit over a cycle.",
         "export": "Write C, FMU, Python, JavaScript, MATLAB, DCM or A2L.",
         "import-dcm": "Read changed parameters back into a model.",
     },
@@ -29,11 +30,10 @@ TASK_COMMANDS = {
     },
 }
 """Every command in one line, under the task that it belongs to."""
-OVERVIEW_HEAD = """usage: jaxnarx COMMAND [OPTIONS]
+OVERVIEW_HEAD = """usage: jaxnarx COMMAND [OPTIONS] | COMMAND --help, with examples | --version
 Identify engines from measurements as NARX networks with regional models.
 """
 OVERVIEW_FOOT = """
-`jaxnarx COMMAND --help` has options and examples; `jaxnarx --version`.
 Exit codes: 0 done, 1 model not usable or fit below --require-fit, 2 usage,
 3 data or model files, 70 defect, 130 interrupted, 143 ended by SIGTERM."""
 

@@ -1,0 +1,83 @@
+"""`jaxnarx calibrate`: maps from files, and what is wrong with these."""
+
+import json
+import shlex
+
+import numpy as np
+import pytest
+from calibration_problems import cycle, network_and_cycle
+
+import jaxnarx as jnx
+from jaxnarx.exporters.calibration import read_dcm
+from jaxnarx.shell.cli import run
+
+MAPS = """
+[maps.c]
+over = ["s"]
+axes = [[-1.0, 0.0, 1.0]]
+start = 0.3
+[[objective]]
+of = "y + 1"
+[[limits]]
+of = "heat"
+kind = "peak"
+at_most = 0.1
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a model, a cycle and maps."""
+    folder = tmp_path_factory.mktemp("calibrate")
+    network, _ = network_and_cycle()
+    jnx.save(network, folder / "model.safetensors")
+    s = cycle().records[0].u
+    np.savetxt(folder / "cycle.csv", s, header="s", comments="")
+    (folder / "maps.toml").write_text(MAPS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        yield folder
+
+
+@pytest.fixture
+def jaxnarx(place, capsys):
+    def jaxnarx(line: str):
+        code = run(["calibrate", *shlex.split(line)])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return jaxnarx
+
+
+def test_maps_are_optimised_and_written(jaxnarx, place):
+    line = "model.safetensors cycle.csv --maps maps.toml --out done"
+    code, out, err = jaxnarx(line)
+    assert code == 0, err
+    assert "round 1 of 8 at most" in out + err and "all 1 limits kept" in out
+    told = json.loads((place / "done" / "calibration.json").read_text())
+    value = told["maps"]["c"]["value"]
+    (block,) = read_dcm((place / "done" / "maps.dcm").read_text(), "maps.dcm")
+    assert block.kind == "KENNLINIE" and block.name == "c"
+    np.testing.assert_array_equal(block.values, value)
+    page = (place / "done" / "report.html").read_text()
+    assert "<script" not in page and "Which points matter" in page
+    assert not (place / "done" / "state").exists()
+    code, out, err = jaxnarx(line)
+    assert code == 2 and "--force" in err
+
+
+def test_what_is_wrong_is_named(jaxnarx, place):
+    def refused(text, said, line="model.safetensors cycle.csv"):
+        (place / "bad.toml").write_text(text)
+        code, _, err = jaxnarx(f"{line} --maps bad.toml --out bad")
+        assert code in (2, 3) and said in err, err
+
+    refused("maps", "is no TOML")
+    refused(MAPS + "[more]\n", "unknown key 'more'")
+    refused(MAPS.replace("at_most", "at_mots"), "limits[0] has the unknown key")
+    refused(MAPS.replace("maps.c", "maps.d"), "none of the plant's inputs")
+    refused(MAPS.replace('"y + 1"', '"y +"'), "cannot be read")
+    refused(MAPS.replace('"y + 1"', '"load"'), "load")
+    refused(MAPS.replace("0.3", "30.0"), "within its bounds")
+    code, _, err = jaxnarx("model.safetensors cycle.csv --maps none.toml")
+    assert code == 3 and "there is no such file" in err
