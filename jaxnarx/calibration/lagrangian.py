@@ -38,7 +38,7 @@ RUNS_PER_STEP = 3
 """Runs of a step, in the mean, at most."""
 LINE_SEARCH_ENDED = 2
 """Status of a search whose line search finds no better point."""
-FIRST_PENALTY, LEAST_PENALTY, MOST_PENALTY, GROWTH = 10.0, 0.1, 1e5, 5.0
+FIRST_PENALTY, LEAST_PENALTY, MOST_PENALTY, GROWTH = 50.0, 0.1, 1e5, 5.0
 
 
 def first_penalty(merit: Merit) -> float:

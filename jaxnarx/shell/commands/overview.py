@@ -30,7 +30,8 @@ TASK_COMMANDS = {
     },
 }
 """Every command in one line, under the task that it belongs to."""
-OVERVIEW_HEAD = """usage: jaxnarx COMMAND [OPTIONS] | COMMAND --help, with examples | --version
+OVERVIEW_HEAD = """\
+usage: jaxnarx COMMAND [OPTIONS] | COMMAND --help, with examples | --version
 Identify engines from measurements as NARX networks with regional models.
 """
 OVERVIEW_FOOT = """
