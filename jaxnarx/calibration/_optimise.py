@@ -61,6 +61,7 @@ def optimise(
     *,
     search: CalibrationSearch | None = None,
     every: int = 1,
+    begin: Calibration | None = None,
     folder: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
 ) -> Solution[Calibration]:
@@ -83,6 +84,8 @@ def optimise(
         limits: What must be kept.
         search: Settings of the search.
         every: Events of a virtual engine in one sample.
+        begin: A calibration of the same maps from which the search sets out; what it is
+            measured by stays that of `maps`.
         folder: Folder that keeps where the search stands after every round: the same
             call goes on there.
         progress: A function called after every round with `round` and how many there
@@ -122,8 +125,28 @@ def optimise(
         text = "with the calibration to begin with the cycle diverges"
         return Solution(value, RESULTS.start_diverged, {}, text)
     problem = _with_levels(problem, before)
-    run = _MapSearch(problem, search, folder, progress)
+    free = begin_numbers(problem)[0]
+    if begin is not None:
+        free = _numbers_of(problem, list(maps), begin)
+    run = _MapSearch(problem, search, free, folder, progress)
     return run.solve(list(maps), cycle, network, before)
+
+
+def _numbers_of(
+    problem: CalibrationProblem, names: list[str], begin: Calibration
+) -> tuple[FreeNumbers, ...]:
+    """The free numbers of an earlier calibration of the same maps."""
+    there = {m.name: m for m in begin.maps}
+    found = []
+    for name, m in zip(names, problem.maps, strict=True):
+        one = there.get(name)
+        if one is None or one.value.shape != m.start.value.shape:
+            raise SpecError(f"begin has no map of {name} as large", field="begin")
+        low, high = np.asarray(m.low), np.asarray(m.high)
+        share = np.clip((one.value - low) / (high - low), 0.0, 1.0)
+        gaps = [np.log(np.diff(a)) for a in one.axes] if m.move_axes else []
+        found.append(FreeNumbers(*jax.device_put((share, tuple(gaps)))))
+    return tuple(found)
 
 
 def _with_levels(problem: CalibrationProblem, before: CycleRun) -> CalibrationProblem:
@@ -200,12 +223,12 @@ class _MapSearch:
         self,
         problem: CalibrationProblem,
         search: CalibrationSearch,
+        free: tuple[FreeNumbers, ...],
         folder: str | os.PathLike[str] | None,
         progress: Progress | None,
     ):
         self.problem, self.search, self.progress = problem, search, progress
         self.path = None if folder is None else Path(folder) / STATE_FILE
-        free = begin_numbers(problem)[0]
         merit = evaluate_merit(problem, free)
         self.multipliers = np.zeros(merit.inequalities.shape)
         self.penalty = first_penalty(merit)

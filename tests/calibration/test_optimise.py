@@ -224,6 +224,37 @@ def test_a_search_goes_on_where_it_was_stopped(tmp_path):
         jnx.calibration.optimise(*given[:4], folder=tmp_path)
 
 
+def test_a_tighter_limit_costs_more():
+    limit = CycleLimit(Measure("heat", "peak"), at_most=0.2)
+    told = []
+    front = jnx.calibration.trade_off(
+        *(
+            PLANT,
+            cycle(),
+            {"c": CURVE},
+            [Measure("y + 1")],
+            [limit],
+            (0.12, 0.08, 0.04),
+        ),
+        search=CalibrationSearch(smooth=0.0),
+        progress=told.append,
+    )
+    cost = [front[n].value.objective[0].value for n in (0.12, 0.08, 0.04)]
+    assert cost == sorted(cost) and all(f.is_okay for f in front.values())
+    assert {row["number"] for row in told} == {0.12, 0.08, 0.04}
+    alone = CycleLimit(Measure("heat", "peak"), at_most=0.04)
+    one = optimised({"c": CURVE}, [Measure("y + 1")], [alone], smooth=0.0)
+    assert cost[-1] == pytest.approx(one.value.objective[0].value, rel=1e-3)
+    with pytest.raises(SpecError, match="one of 1 limits"):
+        jnx.calibration.trade_off(
+            *(PLANT, cycle(), {"c": CURVE}, [Measure("y")], [limit], (1.0,)), which=1
+        )
+    with pytest.raises(SpecError, match="begin has no map"):
+        other = {"c": dataclasses.replace(CURVE, axes=((-1.0, 1.0),))}
+        begin = front[0.12].value
+        jnx.calibration.optimise(PLANT, cycle(), other, [Measure("y")], begin=begin)
+
+
 def test_what_makes_no_sense_is_refused():
     def refused(match, maps=None, objective=None, data=None, **more):
         maps = {"c": CURVE} if maps is None else maps
