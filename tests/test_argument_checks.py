@@ -23,12 +23,17 @@ ROOMS = {
     "selection": "choose coefficient_table",
 } | dict.fromkeys(("design", "fleet", "inverse", "linear", "sweep"), "")
 """Verbs that a room offers; none are named where all its functions are."""
+INNER = {
+    f"design.{name}"
+    for name in ("asked_samples", "limits_for", "make_view", "plan_by", "rest_run")
+}
+"""Functions that a room has at its door for other rooms, not for users."""
 
 VERBS = {n: v for n in jnx.__all__ if inspect.isfunction(v := getattr(jnx, n))} | {
     f"{room}.{name}": verb
     for room, names in ROOMS.items()
     for name in names.split() or dir(getattr(jnx, room))
-    if name not in jnx.__all__
+    if name not in jnx.__all__ and f"{room}.{name}" not in INNER
     if not name.startswith("_")
     and inspect.isfunction(verb := getattr(getattr(jnx, room), name))
 }
@@ -108,7 +113,7 @@ def test_a_wrong_object_is_named(verb):
             fits = kind == FITTING[name] or (name, kind) in ALSO
             if verb in ("diagnose", "report") and name == "selection":
                 continue  # a table of another kind
-            if verb == "design.plan" and name == "limits":
+            if verb in ("design.plan", "fleet.plan") and name == "limits":
                 continue  # numbers by output
             if fits or (kind == "None" and parameters[name].default is None):
                 continue

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from jaxnarx.checks import require
+from jaxnarx.formatting import page
 from jaxnarx.settings.fields import Chance, Count, NotNegative, Positive, settings
 
 TIME = "time"
@@ -120,6 +121,8 @@ class Measure:
             return f"{100 * self.share:g} % percentile of {self.of}"
         return f"{self.kind} of {self.of}"
 
+    _repr_html_ = page
+
 
 @settings
 class CycleLimit:
@@ -157,6 +160,8 @@ class CycleLimit:
         word = "at most" if self.sign > 0 else "at least"
         of = " of the start" if self.of_start else ""
         return f"{self.measure} {word} {self.number:g}{of}"
+
+    _repr_html_ = page
 
 
 @settings
