@@ -24,10 +24,9 @@ from common import record, results_folder
 
 import jaxnarx as jnx
 from jaxnarx.calibration import Calibratable, CalibrationSearch, CycleLimit, Measure
-from jaxnarx.calibration._optimise import _with_levels
 from jaxnarx.calibration.lagrangian import lagrangian
 from jaxnarx.calibration.problem import begin_numbers, run_cycle
-from jaxnarx.calibration.setup import join_plants, make_problem
+from jaxnarx.calibration.setup import add_levels, join_plants, make_problem
 
 INPUTS, OUTPUTS, TRAINED = 7, 3, 6_000
 STEP = 0.1
@@ -78,7 +77,7 @@ def make_network() -> jnx.Network:
 
 
 def cycle(samples: int) -> jnx.Dataset:
-    """What no map sets."""
+    """Signals of the cycle that no map sets."""
     return jnx.Dataset.from_arrays(
         demand(samples, 5)[:, :3],
         np.zeros(samples),
@@ -145,7 +144,7 @@ def costs(network, maps, wanted, limits, search, samples: int) -> dict[str, Any]
     rest = cycle(samples), maps, wanted, limits, search
     problem = make_problem(plant, draws, own, *rest)
     begun = tuple(m.start for m in problem.maps)
-    problem = _with_levels(problem, run_cycle(problem, begun))
+    problem = add_levels(problem, run_cycle(problem, begun))
     free = begin_numbers(problem)[0]
     kind = problem.cycle.values.dtype
     numbers = np.zeros(problem.conditions, kind), np.ones((), kind), np.ones((), kind)

@@ -1,4 +1,4 @@
-"""What a planned test of a new engine is worth beside the usual steps.
+"""Planned tests of new engines, compared with the usual steps.
 
 Three beds whose inputs can be set at will, parameters off by about a tenth: 64 donors
 as in `calibration.py` tell the population. 16 new engines run through one test that

@@ -17,7 +17,6 @@ from jaxnarx.calibration.plants import NetworkPlant as NetworkPlant
 from jaxnarx.calibration.result import CalibratedMap as CalibratedMap
 from jaxnarx.calibration.result import Calibration as Calibration
 from jaxnarx.calibration.result import MeasureRow as MeasureRow
-from jaxnarx.calibration.result import plain as plain
 from jaxnarx.calibration.setup import require_inputs as require_inputs
 from jaxnarx.calibration.tables import LookupTable as LookupTable
 from jaxnarx.docstrings import document

@@ -2,13 +2,13 @@
 
 import ast
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 
 from jaxnarx.errors import SpecError
-from jaxnarx.settings import CalibrationTask
+from jaxnarx.settings import Calibratable, CycleLimit, Measure
 
 LONGEST = 500
 """Letters of a formula at most."""
@@ -43,10 +43,14 @@ def names_of(formula: str) -> list[str]:
     return list(dict.fromkeys(quoted.get(n, n) for n in _names(_parse(text))))
 
 
-def signals_of(task: CalibrationTask) -> list[str]:
+def signals_of(
+    maps: Mapping[str, Calibratable],
+    objective: Sequence[Measure],
+    limits: Sequence[CycleLimit],
+) -> list[str]:
     """Signals that maps go over, and that measures look at."""
-    found = [s for m in task.maps.values() for s in m.over]
-    for m in (*task.objective, *(one.measure for one in task.limits)):
+    found = [s for m in maps.values() for s in m.over]
+    for m in (*objective, *(one.measure for one in limits)):
         found += names_of(m.of) + (names_of(m.target) if m.target else [])
     return list(dict.fromkeys(found))
 

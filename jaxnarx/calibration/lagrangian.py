@@ -4,12 +4,11 @@ With inequalities g <= 0, multipliers l and a penalty r,
 
     L = f + sum_k (max(0, l_k + r g_k)^2 - l_k^2) / (2 r) .
 
-After a round l_k becomes
-max(0, l_k + r g_k), and r grows where limits are still broken (R. T. Rockafellar, J.
-Optim. Theory Appl. 12, 1973, 555-562; J. Nocedal, S. J. Wright, Numerical Optimization,
-2006, chapter 17). Bounds are those of R. H. Byrd, P. Lu, J. Nocedal, C. Zhu, SIAM J.
-Sci. Comput. 16, 1995: behind a sigmoid in their place values went to the bounds in one
-step and stayed, for there it has no slope.
+After a round l_k becomes max(0, l_k + r g_k), and r grows where limits are still broken
+(R. T. Rockafellar, J. Optim. Theory Appl. 12, 1973, 555-562; J. Nocedal, S. J. Wright,
+Numerical Optimization, 2006, chapter 17). Bounds are those of R. H. Byrd, P. Lu, J.
+Nocedal, C. Zhu, SIAM J. Sci. Comput. 16, 1995: behind a sigmoid in their place values
+went to the bounds in one step and stayed, for there it has no slope.
 """
 
 import dataclasses

@@ -138,7 +138,7 @@ class FunctionPlant(AbstractPlant):
     sample_time: float = eqx.field(static=True)
 
     def run(self, u: Float[Array, "time inputs"]) -> Float[Array, "time outputs"]:
-        """What the function says."""
+        """Outputs of the function."""
         return self.function(u)
 
     def begin(self, u: Float[Array, " inputs"]) -> tuple[Any, Float[Array, " outputs"]]:

@@ -2,7 +2,7 @@
 
 Free numbers are the values of maps as shares of their ranges, from zero to one, and
 where axes move the logarithms of the distances between their points, up to a factor.
-What else must hold are inequalities g <= 0.
+All other conditions are inequalities g <= 0.
 """
 
 import math
@@ -71,7 +71,7 @@ class MovedMap(eqx.Module):
         return LookupTable(value, axes)
 
     def inequalities(self, table: LookupTable) -> Float[Array, " _"]:
-        """What must not be above zero: steps beyond theirs, slopes the wrong way."""
+        """Of steps and slopes; all hold where none is above zero."""
         rows = [jnp.zeros(0, table.value.dtype)]
         width = jnp.mean(self.high - self.low)
         for step, most, way in zip(table.steps(), self.steps, self.slopes, strict=True):
@@ -83,7 +83,7 @@ class MovedMap(eqx.Module):
 
 
 class FreeNumbers(eqx.Module):
-    """What a search moves of one map."""
+    """The numbers of one map that a search moves."""
 
     value: Float[Array, "*shape"]
     gaps: tuple[Float[Array, " _"], ...]
@@ -173,7 +173,9 @@ class CalibrationProblem(eqx.Module):
     ) -> Float[Array, "records time inputs"]:
         """The plant's inputs with maps over signals of the cycle."""
         shape = self.cycle.values.shape[:2]
-        found = dict(zip(self.cycle.names, jnp.moveaxis(self.cycle.values, -1, 0)))  # noqa: B905
+        found = dict(
+            zip(self.cycle.names, jnp.moveaxis(self.cycle.values, -1, 0), strict=True)
+        )
         signals = dict(found)
         for m, table in zip(self.maps, tables, strict=True):
             value = table(*(signals[s] for s in m.over))
@@ -261,13 +263,14 @@ class CalibrationProblem(eqx.Module):
         domain."""
         if self.domain is None or self.index is None:
             return jnp.zeros(0, u.dtype)
-        index = jax.vmap(jax.vmap(self._index))(u)
+        index = jax.vmap(jax.vmap(self.domain_index))(u)
         beyond = jnp.maximum(index - self.index[None], 0.0)
         beyond = beyond.reshape(u.shape[0], -1)[:, self.cycle.scored]
         # A root has no slope at zero, and a limit that nothing keeps strictly no end.
         return jnp.sqrt(jnp.mean(beyond**2) + EDGE**2)[None] - ALLOWED
 
-    def _index(self, u: Float[Array, "time inputs"]) -> Float[Array, " time"]:
+    def domain_index(self, u: Float[Array, "time inputs"]) -> Float[Array, " time"]:
+        """Index of the domain, one at its border."""
         assert self.domain is not None
         return self.domain.index(u, jnp.asarray(self.plant.sample_time, u.dtype))
 
@@ -306,7 +309,7 @@ class CycleMeasures(NamedTuple):
 
 
 class Merit(NamedTuple):
-    """What is minimised, and what must not be above zero."""
+    """The objective, and the inequalities, which hold where none is above zero."""
 
     objective: Float[Array, ""]
     inequalities: Float[Array, " all"]
@@ -353,3 +356,11 @@ def run_cycle(problem: CalibrationProblem, tables: tuple[LookupTable, ...]) -> C
 def measure_run(problem: CalibrationProblem, run: CycleRun) -> CycleMeasures:
     """Measures without any smoothing."""
     return problem.measured(run)
+
+
+@program
+def domain_indices(
+    problem: CalibrationProblem, u: Float[Array, "draws records time inputs"]
+) -> Float[Array, "draws records time"]:
+    """Index of the domain at every sample."""
+    return jax.vmap(jax.vmap(problem.domain_index))(u)

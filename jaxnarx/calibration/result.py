@@ -102,23 +102,22 @@ class Calibration:
         ]
         return "\n".join(["Calibration", *align_columns(rows), *moved])
 
+    def to_dict(self) -> dict[str, Any]:
+        """Maps and rows as JSON has them."""
+        return {
+            "maps": {
+                m.name: {
+                    "over": list(m.over),
+                    "axes": [a.tolist() for a in m.axes],
+                    "start": m.start.tolist(),
+                    "value": m.value.tolist(),
+                    "visits": m.visits.tolist(),
+                    "unit": m.unit,
+                }
+                for m in self.maps
+            },
+            "objective": [dataclasses.asdict(r) for r in self.objective],
+            "limits": [dataclasses.asdict(r) for r in self.limits],
+        }
+
     __repr__, _repr_html_ = brief, page
-
-
-def plain(value: Calibration) -> dict[str, Any]:
-    """Maps and rows as JSON has them."""
-    return {
-        "maps": {
-            m.name: {
-                "over": list(m.over),
-                "axes": [a.tolist() for a in m.axes],
-                "start": m.start.tolist(),
-                "value": m.value.tolist(),
-                "visits": m.visits.tolist(),
-                "unit": m.unit,
-            }
-            for m in value.maps
-        },
-        "objective": [dataclasses.asdict(r) for r in value.objective],
-        "limits": [dataclasses.asdict(r) for r in value.limits],
-    }

@@ -1,5 +1,6 @@
 """From plants, records and settings to the arrays of a calibration, checked."""
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,9 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.calibration.formulas import names_of
+from jaxnarx.calibration.formulas import signals_of
 from jaxnarx.calibration.plants import AbstractPlant, NetworkPlant, as_plant
-from jaxnarx.calibration.problem import CalibrationProblem, DemandCycle, MovedMap
+from jaxnarx.calibration.problem import (
+    CalibrationProblem,
+    CycleRun,
+    DemandCycle,
+    FreeNumbers,
+    MovedMap,
+    domain_indices,
+    measure_run,
+)
+from jaxnarx.calibration.result import Calibration
 from jaxnarx.calibration.tables import LookupTable
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
@@ -21,6 +31,8 @@ from jaxnarx.settings import TIME, Calibratable, CycleLimit, Measure
 
 AXIS_POINTS = 8
 """Points of an axis where nothing is said."""
+SCALE_SHARE = 0.2
+"""Share of a measure's value at the start that a limit is measured by at least."""
 
 
 def join_plants(given: Any, every: int) -> tuple[AbstractPlant, int, Network | None]:
@@ -44,7 +56,10 @@ def join_plants(given: Any, every: int) -> tuple[AbstractPlant, int, Network | N
         )
     structure = jax.tree.structure(first)
     rows = [jax.tree.leaves(p) for p in plants]
-    stacked = [jnp.stack([jnp.asarray(a) for a in leaves]) for leaves in zip(*rows)]  # noqa: B905
+    stacked = [
+        jnp.stack([jnp.asarray(a) for a in leaves])
+        for leaves in zip(*rows, strict=True)
+    ]
     return jax.tree.unflatten(structure, stacked), len(plants), network
 
 
@@ -52,21 +67,19 @@ def make_cycle(
     plant: AbstractPlant,
     data: Dataset,
     maps: Mapping[str, Calibratable],
-    formulas: Sequence[str],
+    asked: Sequence[str],
 ) -> DemandCycle:
-    """The signals that are looked at; SpecError where one is not there, DataError where
-    one has no number."""
+    """The signals that the plant needs or that are asked for; SpecError where one is
+    missing, DataError where one has no number."""
     if not math.isclose(data.sample_time, plant.sample_time, rel_tol=1e-6):
         raise SpecError(
             f"the cycle has a sample every {data.sample_time:g} s, the plant every "
-            f"{plant.sample_time:g} s; jnx.data has what resamples records",
+            f"{plant.sample_time:g} s; `jaxnarx prepare` resamples records",
             field="cycle",
         )
     columns = [*data.channels.input_names, *data.channels.output_names]
     known = {*columns, *plant.inputs, *plant.outputs, TIME}
-    asked = [s for m in maps.values() for s in m.over]
-    asked += [s for text in formulas for s in names_of(text)]
-    unknown = [s for s in dict.fromkeys(asked) if s not in known]
+    unknown = [s for s in asked if s not in known]
     if unknown:
         raise SpecError(
             f"there is no signal {list_names(unknown)}; there are "
@@ -219,9 +232,8 @@ def make_problem(
 ) -> CalibrationProblem:
     """The problem, with levels and numbers of limits of one: the verb sets them."""
     require_inputs(maps, plant.inputs)
-    both = [*objective, *(one.measure for one in limits)]
-    formulas = [m.of for m in both] + [m.target for m in both if m.target]
-    cycle = make_cycle(plant, data, maps, formulas)
+    asked = signals_of(maps, objective, limits)
+    cycle = make_cycle(plant, data, maps, asked)
     moved = tuple(
         make_map(name, one, plant, cycle, network) for name, one in maps.items()
     )
@@ -241,3 +253,44 @@ def make_problem(
         ones,
         domain,
     )
+
+
+def add_levels(problem: CalibrationProblem, before: CycleRun) -> CalibrationProblem:
+    """The problem with the values of the start: of the objective and of limits, and the
+    index of the domain."""
+    found = measure_run(problem, before)
+    wanted, kept = (np.asarray(a).mean(axis=1) for a in found)
+    level = np.where(np.abs(wanted) > 0, np.abs(wanted), 1.0)
+    number = np.array(
+        [
+            one.number * (start if one.of_start else 1.0)
+            for one, start in zip(problem.limits, kept, strict=True)
+        ]
+    ).reshape(len(kept))
+    size = np.maximum(np.abs(number), SCALE_SHARE * np.abs(kept))
+    index = None
+    if problem.domain is not None:
+        own = np.asarray(domain_indices(problem, before.u[:1]))[0]
+        index = np.maximum(own, problem.search.index or np.inf)
+    leaves = jax.device_put((level, number, np.where(size > 0, size, 1.0), index))
+    level, number, size, index = leaves
+    return dataclasses.replace(
+        problem, level=level, limit=number, scale=size, index=index
+    )
+
+
+def begin_there(
+    problem: CalibrationProblem, names: list[str], begin: Calibration
+) -> tuple[FreeNumbers, ...]:
+    """The free numbers of an earlier calibration of the same maps."""
+    there = {m.name: m for m in begin.maps}
+    found = []
+    for name, m in zip(names, problem.maps, strict=True):
+        one = there.get(name)
+        if one is None or one.value.shape != m.start.value.shape:
+            raise SpecError(f"begin has no map of {name} as large", field="begin")
+        low, high = np.asarray(m.low), np.asarray(m.high)
+        share = np.clip((one.value - low) / (high - low), 0.0, 1.0)
+        gaps = [np.log(np.diff(a)) for a in one.axes] if m.move_axes else []
+        found.append(FreeNumbers(*jax.device_put((share, tuple(gaps)))))
+    return tuple(found)

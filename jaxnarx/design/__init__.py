@@ -19,7 +19,6 @@ Reference: R. K. Mehra, IEEE Trans. Automatic Control 19, 1974; thesis section 6
 
 from jaxnarx.design._adjust import adjust
 from jaxnarx.design._criteria import Criteria, criteria
-from jaxnarx.design._plan import HOLD_MEMORIES as HOLD_MEMORIES
 from jaxnarx.design._plan import TestPlan, plan
 from jaxnarx.design._plan import plan_by as plan_by
 from jaxnarx.design.greedy import asked_samples as asked_samples

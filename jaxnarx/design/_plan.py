@@ -100,12 +100,12 @@ def plan(
         stretches drawn at random would have gained on average at the same places;
         `gain` and `start` [s] of every stretch, its mean `index`; `known`, the
         information about directions of the coefficients that begin with a variance of
-        one; `outside`, the share
-        of samples outside of the domain; `refused`, the share of the stretches drawn
-        that might have broken a limit of an output; `still`, the share of stretches in
-        which limits leave nothing but to stay; `room` by output with a limit: the least
-        distance of the predicted output from it. Status `stalled` where the test stays
-        still for most of its time. `SpecError` where no operating point is allowed.
+        one; `outside`, the share of samples outside of the domain; `refused`, the share
+        of the stretches drawn that might have broken a limit of an output; `still`, the
+        share of stretches in which limits leave nothing but to stay; `room` by output
+        with a limit: the least distance of the predicted output from it. Status
+        `stalled` where the test stays still for most of its time. `SpecError` where no
+        operating point is allowed.
 
     Example:
         network = jnx.confidence.fit_domain(network, data)
@@ -139,9 +139,7 @@ def plan_by(
     maker = _make(network, make_view, kept, random, length, held)
     u, steps, information = maker.run(length)
     u = _prepend_first(u, rest)
-    found = _solution(network, kept, maker, u, steps, rest)
-    found.stats["known"] = information[0]
-    return found
+    return _solution(network, kept, maker, u, steps, rest, information[0])
 
 
 def _holds(network: Network, asked: Pair | None) -> tuple[int, int]:
@@ -208,6 +206,7 @@ def _solution(
     u: Float[np.ndarray, "time inputs"],
     steps: list[Step],
     rest: int,
+    known: Float[np.ndarray, "_ _"],
 ) -> Solution[TestPlan]:
     """The plan with what is to be told of it."""
     seen = Seen(
@@ -227,6 +226,7 @@ def _solution(
     starts = rest + np.arange(len(steps)) * maker.size
     stats = {
         "information": float(gain.sum()),
+        "known": known,
         "random": float(usual.sum()),
         "gain": gain,
         "start": starts * float(network.sample_time),

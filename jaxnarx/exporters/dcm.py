@@ -98,7 +98,8 @@ def _table(name: str, table: ParameterTable) -> Iterable[str]:
 def _map(block: str, function: str, found: RestMap) -> Iterable[str]:
     over = " and ".join(port.name for port in found.axes)
     about = f"{found.output.name} at rest over {over}"
-    axes = [(points, port.unit) for points, port in zip(found.points, found.axes)]  # noqa: B905
+    pairs = zip(found.points, found.axes, strict=True)
+    axes = [(points, port.unit) for points, port in pairs]
     yield from map_lines(block, function, about, axes, found.output.unit, found.values)
 
 

@@ -92,7 +92,7 @@ def calibrate(prior: FleetPrior, few: Dataset) -> Solution[Network]:
     found = _Estimate.of(prior, runs)
     value = prior.coefficients.place(jnp.asarray(found.chosen))
     stats = _stats(prior, found, counted)
-    after = _square(prior, runs, found.chosen)
+    after = _sum_squares(prior, runs, found.part, found.chosen)
     if not np.all(np.isfinite(after)) or np.any(after > WORSE * found.before + 1e-9):
         text = "calibrated, the free run leaves its bounds; the mean is returned"
         return Solution(prior.network, RESULTS.diverged, stats, text)
@@ -138,6 +138,7 @@ class _Estimate:
 
     prior: FleetPrior
     runs: Prepared
+    part: Int[np.ndarray, "records time"]
     sums: Information
     before: Float[np.ndarray, " outputs"]
     score: Float[np.ndarray, "ways outputs"]
@@ -153,7 +154,9 @@ class _Estimate:
         at = find_member(prior, runs)
         sums = sums_about(prior.coefficients, at, runs, part, BLOCKS)
         total = sums.total()
-        before = _square(prior, runs, zero) if np.any(at) else np.asarray(total.square)
+        before = np.asarray(total.square)
+        if np.any(at):
+            before = _sum_squares(prior, runs, part, zero)
         noise = np.asarray(prior.population.noise)
         colour = np.asarray(prior.population.colour)
         rivals = prior.rivals
@@ -167,7 +170,7 @@ class _Estimate:
         else:
             own = donors
         way, score = choose(rivals, donors, own, samples, colour)
-        given = cls(prior, runs, total, before, score, way, at)
+        given = cls(prior, runs, part, total, before, score, way, at)
         return dataclasses.replace(given, chosen=given._follow())
 
     def _follow(self) -> Float[np.ndarray, " params"]:
@@ -197,13 +200,17 @@ class _Estimate:
         return climb(self.prior.coefficients, self.runs, part, drawn, self.chosen)
 
 
-def _square(
-    prior: FleetPrior, runs: Prepared, v: Float[np.ndarray, " params"]
+def _sum_squares(
+    prior: FleetPrior,
+    runs: Prepared,
+    part: Int[np.ndarray, "records time"],
+    v: Float[np.ndarray, " params"],
 ) -> Float[np.ndarray, " outputs"]:
-    """Squared errors of the run by these coefficients."""
-    part = jax.device_put(parts_of(runs, ()))
-    found = gather_information(prior.coefficients, v, runs, part, 1)
-    return np.asarray(found.square)[0]
+    """Squared errors of the run by these coefficients; by the program that judges."""
+    found = gather_information(
+        prior.coefficients, v, runs, jax.device_put(part), BLOCKS
+    )
+    return np.asarray(found.square).sum(axis=0)
 
 
 def _blocks(runs: Prepared) -> tuple[tuple[int, ...], int]:

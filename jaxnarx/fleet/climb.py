@@ -110,4 +110,4 @@ def sums_about(
     """Sums by part, expanded about `v` and told about zero; host."""
     found = gather_information(own, v, runs, jax.device_put(part), parts)
     found = Information(*map(np.asarray, found))
-    return found.moved(-v) if np.any(v) else found
+    return found.shift(-v) if np.any(v) else found

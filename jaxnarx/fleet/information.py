@@ -48,7 +48,7 @@ class Information(NamedTuple):
         bent = np.einsum("...opq,...p,...q->...o", self.gram, step, step)
         return np.maximum(np.asarray(self.square) + 2 * linear + bent, 0.0)
 
-    def moved(self, step: Float[np.ndarray, " params"]) -> "Information":
+    def shift(self, step: Float[np.ndarray, " params"]) -> "Information":
         """The same sums told about a place a step away; host."""
         gram, right = np.asarray(self.gram), np.asarray(self.right)
         bent = np.einsum("...opq,q->...op", gram, step)

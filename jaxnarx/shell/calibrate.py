@@ -19,7 +19,6 @@ from jaxnarx.calibration import (
     CycleLimit,
     Measure,
     optimise,
-    plain,
     require_inputs,
     signals_of,
 )
@@ -139,7 +138,9 @@ def _read_cycle(command: Calibrate, network: Network, task: CalibrationTask) -> 
     require_inputs(task.maps, own.input_names)
     kept = [c for c in own.inputs if c.name not in task.maps]
     known = {c.name for c in (*own.inputs, *own.outputs)} | {TIME}
-    asked = [n for n in signals_of(task) if n not in known]
+    asked = [
+        n for n in signals_of(task.maps, task.objective, task.limits) if n not in known
+    ]
     wanted = Channels((*kept, *(Channel(n) for n in asked)), ())
     with about(first):
         data = read_files(
@@ -173,7 +174,7 @@ def maps_dcm(value: Calibration, typed: str) -> str:
 
 
 def _json(found: Any) -> str:
-    told = {"status": found.status_name, "detail": found.detail} | plain(found.value)
+    told = {"status": found.status_name, "detail": found.detail} | found.value.to_dict()
     told |= {"history": found.stats.get("history", [])}
     return json.dumps(_finite(told), indent=1) + "\n"
 

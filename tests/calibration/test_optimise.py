@@ -18,10 +18,9 @@ from jaxnarx.calibration import (
     FunctionPlant,
     Measure,
 )
-from jaxnarx.calibration._optimise import _with_levels
 from jaxnarx.calibration.lagrangian import evaluate_merit, lagrangian
 from jaxnarx.calibration.problem import begin_numbers, run_cycle
-from jaxnarx.calibration.setup import join_plants, make_problem
+from jaxnarx.calibration.setup import add_levels, join_plants, make_problem
 from jaxnarx.errors import DataError, SpecError
 
 
@@ -111,17 +110,17 @@ def problem_of(plant, maps, objective, limits=(), data=None, **search):
     given = (data or cycle()), maps, objective, limits, CalibrationSearch(**search)
     problem = make_problem(joined, draws, network, *given)
     before = run_cycle(problem, tuple(m.start for m in problem.maps))
-    return _with_levels(problem, before)
+    return add_levels(problem, before)
 
 
 def near(maps):
     """Free numbers off the start, so that nothing is at an edge."""
 
-    def moved(a):
+    def move(a):
         a = np.asarray(a)
         return a + 0.013 + 0.05 * np.cos(np.arange(a.size)).reshape(a.shape)
 
-    return jax.tree.map(moved, maps)
+    return jax.tree.map(move, maps)
 
 
 @pytest.mark.parametrize(
@@ -253,6 +252,26 @@ def test_a_tighter_limit_costs_more():
         other = {"c": dataclasses.replace(CURVE, axes=((-1.0, 1.0),))}
         begin = front[0.12].value
         jnx.calibration.optimise(PLANT, cycle(), other, [Measure("y")], begin=begin)
+
+
+def test_a_search_that_begins_at_the_optimum_stays_there():
+    given = {"c": CURVE}, [Measure("y + 1")]
+    search = CalibrationSearch(smooth=0.0)
+    first = jnx.calibration.optimise(PLANT, cycle(), *given, search=search)
+    again = jnx.calibration.optimise(
+        PLANT, cycle(), *given, search=search, begin=first.value
+    )
+    value = again.value["c"].value
+    np.testing.assert_allclose(value, first.value["c"].value, atol=1e-4)
+    assert again.value.objective[0].value < again.value.objective[0].start
+
+
+def test_a_kept_limit_does_not_hide_steps_that_are_not():
+    given = dataclasses.replace(CURVE, start=(-0.9, 0.0, 0.9), away=0.05, steps=(0.1,))
+    limit = CycleLimit(Measure("heat"), at_most=5.0)
+    found = optimised({"c": given}, [Measure("y + 1")], [limit], rounds=2)
+    assert found.status_name == "infeasible" and found.value.kept
+    assert "steps or slopes of maps" in found.detail
 
 
 def test_what_makes_no_sense_is_refused():

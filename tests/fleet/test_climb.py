@@ -36,7 +36,7 @@ def test_sums_told_about_another_place_are_the_same_parabola(problem):
     about_v = gathered(own, runs, v).total()
     about_zero = sums_about(own, v, runs, parts_of(runs, ()), 1).total()
     np.testing.assert_allclose(about_zero.loss(v + step), about_v.loss(step))
-    np.testing.assert_allclose(about_zero.moved(v).right, about_v.right)
+    np.testing.assert_allclose(about_zero.shift(v).right, about_v.right)
 
 
 @pytest.mark.parametrize("known_noise", [False, True])
