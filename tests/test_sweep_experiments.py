@@ -146,3 +146,10 @@ def test_maps_are_checked_on_the_engine(tmp_path):
     told = figures["summary"]["vct, best constants"]
     assert told["objective, promised"][0] < 1.0
     assert told["cycle"]["promise missed by, worst"] < 0.2
+
+
+@pytest.mark.slow
+def test_maps_are_made_for_a_fleet(tmp_path):
+    experiment("calibration/robust.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "calibration_robust.json").read_text())["figures"]
+    assert 0 < figures["summary"]["vct, robust, cycle"]["objective, median"] < 1.5

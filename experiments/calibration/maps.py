@@ -26,9 +26,12 @@ Beside it:
   objective, limits and domain, and 50 times the runs of the search.
 
     python experiments/calibration/maps.py [--beds vct diesel] [--seeds 1 2 3 4 5]
+
+The results are written after every bed and seed.
 """
 
 import argparse
+import itertools
 import sys
 import time
 from collections.abc import Callable
@@ -180,11 +183,12 @@ def main() -> None:
     chosen, seeds = options.beds, options.seeds
     if options.smoke:
         chosen, seeds = chosen[:1], seeds[:1]
-    found = {
-        name: {str(seed): bed_rows(name, seed, options.smoke) for seed in seeds}
-        for name in chosen
-    }
-    record("calibration", {"summary": summary(found), "beds": found}, folder=folder)
+    found: dict[str, dict[str, Any]] = {}
+    for seed, name in itertools.product(seeds, chosen):
+        rows = bed_rows(name, seed, options.smoke)
+        found.setdefault(name, {})[str(seed)] = rows
+        figures = {"summary": summary(found), "beds": found}
+        record("calibration", figures, folder=folder)
 
 
 if __name__ == "__main__":
