@@ -119,6 +119,7 @@ def export(
     index: bool = True,
     level: float | None = None,
     precision: str = BOTH,
+    since: Network | None = None,
     verify: bool = True,
 ) -> Exported:
     """Export the network as source files that compute the same, sample by sample.
@@ -149,6 +150,8 @@ def export(
         precision: Number types of C that are written and proven: `"double"`,
             `"single"` or `"both"`. With both, a model that single precision cannot
             follow is written for double, and `failed` says why.
+        since: The model that a control unit holds already, of the same structure, such
+            as the mean of a fleet: `"dcm"` then has only the tables that differ.
         verify: Whether it is proven.
 
     Returns:
@@ -163,7 +166,10 @@ def export(
         TARGETS.find(one, "to")
     choice(precision, PRECISIONS, "precision")
     program = lower(network, name, index=index, level=level)
-    program = dataclasses.replace(program, precision=precision)
+    changed = None
+    if since is not None:
+        changed = _changed_tables(program, lower(since, name, index=index, level=level))
+    program = dataclasses.replace(program, precision=precision, changed=changed)
     records = proof.make_steps(network) if data is None else data
     cases = proof.make_cases(network, program, records)
     if not cases:
@@ -183,6 +189,19 @@ def export(
         told = "; ".join(found.failed.values())
         raise ExportError(f"{told}. Nothing was written.")
     return found
+
+
+def _changed_tables(program: SampleProgram, before: SampleProgram) -> frozenset[str]:
+    """Names of the tables that differ; SpecError where there are others."""
+    old = {t.name: t.values for t in before.tables}
+    new = {t.name: t.values for t in program.tables}
+    if {n: v.shape for n, v in old.items()} != {n: v.shape for n, v in new.items()}:
+        raise SpecError(
+            "the model before has other tables; what has changed can only be told of "
+            "models of one structure",
+            field="since",
+        )
+    return frozenset(n for n, v in new.items() if not np.array_equal(v, old[n]))
 
 
 def make_golden(program: SampleProgram, case: Case) -> dict[str, np.ndarray]:

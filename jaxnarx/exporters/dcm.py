@@ -1,9 +1,10 @@
 """DCM 2.0: tables of parameters and maps at rest, as calibration tools read them.
 
-Every table is a FESTWERTEBLOCK of the name that its C array has, every map a KENNFELD,
-or with one input a KENNLINIE. Numbers have the digits that read back exactly in double
-precision, 17 at most; tools that hold single precision keep nine of them. Texts are of
-ISO 8859-1.
+Of a model that a control unit holds in an earlier state there are only the tables that
+have changed. Every table is a FESTWERTEBLOCK of the name that its C array has, every
+map a KENNFELD, or with one input a KENNLINIE. Numbers have the digits that read back
+exactly in double precision, 17 at most; tools that hold single precision keep nine of
+them. Texts are of ISO 8859-1.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,7 +24,8 @@ from jaxnarx.exporters.target import Files, Golden, Proof
 
 def dcm_files(program: SampleProgram, golden: Golden) -> Files:
     """The file; `golden["axes"]` has the inputs that maps go over."""
-    text = "\n".join(_lines(program, rest_maps(program, golden["axes"]))) + "\n"
+    maps = () if program.changed is not None else rest_maps(program, golden["axes"])
+    text = "\n".join(_lines(program, maps)) + "\n"
     return {f"{program.name}.dcm": text.encode("iso-8859-1")}
 
 
@@ -37,18 +39,22 @@ def sanitise(text: str) -> str:
 def _lines(program: SampleProgram, maps: Iterable[RestMap]) -> Iterable[str]:
     name, names = program.name, map_names(program)
     yield f"* {name}: {_describe_ports(program)}"
-    yield f"* Blocks {name}_{REST_NAME}_... are what the model does at rest. They are"
-    yield "* for reading: who changes the other blocks changes the model."
+    if program.changed is None:
+        yield f"* Blocks {name}_{REST_NAME}_... are what the model does at rest. They"
+        yield "* are for reading: who changes the other blocks changes the model."
+    else:
+        yield "* Only the tables that differ from those of the model before."
     yield ""
     yield "KONSERVIERUNG_FORMAT 2.0"
     yield ""
     yield "FUNKTIONEN"
     yield f'  FKT {name} "" "{_describe_ports(program)}"'
     yield "END"
-    for table in program.tables:
-        if table.values.size:
-            yield ""
-            yield from _table(name, table)
+    for table in written_tables(program):
+        yield ""
+        yield from _table(name, table)
+    if program.changed is not None:
+        return
     found = {one.output: one for one in maps}
     for port in program.reported:
         yield ""
@@ -59,6 +65,16 @@ def _lines(program: SampleProgram, maps: Iterable[RestMap]) -> Iterable[str]:
             yield from _map(names[port], name, found[port])
         else:
             yield f"{no_map} it does not come to rest everywhere"
+
+
+def written_tables(program: SampleProgram) -> list[ParameterTable]:
+    """The tables that the file holds."""
+    some = program.changed
+    return [
+        table
+        for table in program.tables
+        if table.values.size and (some is None or table.name in some)
+    ]
 
 
 def map_names(program: SampleProgram) -> dict[Port, str]:
@@ -139,9 +155,11 @@ def prove_dcm(program: SampleProgram, folder: Path, cases: object) -> Proof:
     del cases
     text = (folder / f"{program.name}.dcm").read_bytes().decode("iso-8859-1")
     blocks = {block.name: block for block in read_dcm(text, "the export as DCM")}
-    for table in program.tables:
-        if table.values.size and not _equal(blocks, program.name, table):
+    for table in written_tables(program):
+        if not _equal(blocks, program.name, table):
             raise ExportError(f"the export as DCM does not hold {table.name}")
+    if program.changed is not None:
+        return {"dcm, changed parameters read back": 0.0}, []
     missing = [
         f"dcm: there is no map of {port.name}; the file says why"
         for port, name in map_names(program).items()

@@ -111,7 +111,8 @@ class SampleProgram:
     in the lines: divided by the gain. `history` samples of measured inputs and outputs
     begin a run, if there are any. `notes` are paragraphs for callers of the code, which
     stand in the comments of every target. `precision` says which of the number types of
-    C the source may be compiled in.
+    C the source may be compiled in. `changed` names the tables that differ from those
+    of the model that a unit holds already; None: no such model is known.
     """
 
     name: str
@@ -132,6 +133,7 @@ class SampleProgram:
     flags: Mapping[str, Value]
     notes: tuple[str, ...] = ()
     precision: str = BOTH
+    changed: frozenset[str] | None = None
 
     def needed_operations(self, values: Iterable[Value]) -> list[Value]:
         """The operations that these values take, in order."""

@@ -14,6 +14,7 @@ from jaxnarx.exporters import (
     export,
     write_files,
 )
+from jaxnarx.fleet import load_prior
 from jaxnarx.models import Network, load, set_nan_policy
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Export
@@ -40,6 +41,7 @@ def export_model(command: Export, typed: str) -> int:
             index=not command.without_index,
             level=command.level,
             precision=command.precision,
+            since=_model_before(command.since),
             verify=not command.unproven,
         )
     files = {**found.files, README_FILE: readme(found, typed, data)}
@@ -61,6 +63,13 @@ def export_model(command: Export, typed: str) -> int:
     say(f"{cost}; {found.parameters} parameters in tables, {found.kept} numbers kept")
     say(f"wrote {', '.join(files)} to {folder}")
     return 1 if found.failed else 0
+
+
+def _model_before(path: str | None) -> Network | None:
+    """The model that is known already: a model file, or the mean of a fleet."""
+    if path is None:
+        return None
+    return load_prior(path).network if Path(path).suffix == ".fleet" else load(path)
 
 
 def _set_policy(network: Network, command: Export) -> Network:

@@ -170,6 +170,9 @@ class Export:
     invalid_after: Annotated[float | None, optional("SECONDS")] = None
     """Flag outputs as invalid once an input has not been finite for so long; default:
     as MODEL says, which is its memory."""
+    since: Annotated[str | None, optional("MODEL")] = None
+    """Model file of the same structure, or prior of a fleet (.fleet), whose numbers the
+    control unit holds already: dcm has only the tables that differ."""
     precision: Literal["double", "single", "both"] = "both"
     """Number types of C that are written and proven. With both, a model that single
     precision cannot follow is written for double alone."""
