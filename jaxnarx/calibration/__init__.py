@@ -8,6 +8,7 @@ multi-objective constrained optimization of engine maps, Optimization and Engine
 """
 
 from jaxnarx.calibration._optimise import optimise as optimise
+from jaxnarx.calibration._read_map import read_map as read_map
 from jaxnarx.calibration._trade_off import trade_off as trade_off
 from jaxnarx.calibration.formulas import signals_of as signals_of
 from jaxnarx.calibration.plants import AbstractPlant as AbstractPlant
@@ -39,6 +40,7 @@ __all__ = [
     "NetworkPlant",
     "LookupTable",
     "optimise",
+    "read_map",
     "trade_off",
 ]
 

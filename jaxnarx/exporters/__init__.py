@@ -7,6 +7,8 @@ from jaxnarx.exporters._export import make_golden as make_golden
 from jaxnarx.exporters._export import write_files as write_files
 from jaxnarx.exporters._javascript import javascript as javascript
 from jaxnarx.exporters._lower import lower as lower
+from jaxnarx.exporters.calibration import map_of as map_of
+from jaxnarx.exporters.calibration import read_dcm as read_dcm
 from jaxnarx.exporters.dcm import map_lines as map_lines
 from jaxnarx.exporters.dcm import sanitise as sanitise
 from jaxnarx.exporters.form import BLEND as BLEND

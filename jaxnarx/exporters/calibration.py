@@ -20,7 +20,7 @@ NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 @dataclasses.dataclass(frozen=True, eq=False)
 class CalibrationBlock:
     """A block of a file: its kind, name, size as told, numbers, and the lines where it
-    begins and where each number stands."""
+    begins and where each number stands; `points` of a curve or map, by axis."""
 
     kind: str
     name: str
@@ -28,6 +28,7 @@ class CalibrationBlock:
     values: Float[np.ndarray, " numbers"]
     line: int
     lines: tuple[int, ...]
+    points: tuple[Float[np.ndarray, " _"], ...] = ()
 
 
 VALUE_BLOCKS = ("FESTWERT", "FESTWERTEBLOCK")
@@ -40,9 +41,11 @@ MAP_BLOCKS = (
 TEXT_BLOCKS = ("TEXTSTRING",)
 OTHER_LINES = (
     *("LANGNAME", "DISPLAYNAME", "FUNKTION", "EINHEIT_X", "EINHEIT_Y", "EINHEIT_W"),
-    *("VAR", "ST/X", "ST/Y", "ST_TX/X", "ST_TX/Y"),
+    *("VAR", "ST_TX/X", "ST_TX/Y"),
 )
 """Lines of a block that are no values."""
+AXIS_LINES = ("ST/X", "ST/Y")
+"""Lines of the points of an axis."""
 
 
 def read_dcm(text: str, source: str) -> list[CalibrationBlock]:
@@ -87,16 +90,21 @@ def _block(kind, words, lines, source: str, begun: int) -> CalibrationBlock:
     size = tuple(int(w) for w in sizes if w != "@")
     values: list[float] = []
     places: list[int] = []
+    axes: dict[str, list[float]] = {}
     for number, line in lines:
         field, *rest = line.split()
         if field == "END":
             found = CalibrationBlock(
-                *(kind, name, size, np.array(values), begun, tuple(places))
+                *(kind, name, size, np.array(values), begun, tuple(places)),
+                points=tuple(np.array(axes[a]) for a in AXIS_LINES if a in axes),
             )
             return _count_values(found, source)
         if field == "WERT":
             values += [parse_number(w, source, number, name) for w in rest]
             places += [number] * len(rest)
+        elif field in AXIS_LINES:
+            own = [parse_number(w, source, number, name) for w in rest]
+            axes.setdefault(field, []).extend(own)
         elif field == "TEXT" and kind in VALUE_BLOCKS:
             raise _wrong(source, number, f"block {name} has a text in place of numbers")
         elif field not in (*OTHER_LINES, "TEXT"):
@@ -114,6 +122,29 @@ def _count_values(block: CalibrationBlock, source: str) -> CalibrationBlock:
             f"block {block.name} says {right} values and has {len(block.values)}",
         )
     return block
+
+
+def map_of(
+    block: CalibrationBlock, source: str
+) -> tuple[tuple[Float[np.ndarray, " _"], ...], Float[np.ndarray, "*shape"]]:
+    """Points by axis, and values, first axis first; DataFileError where the block is no
+    scalar, curve or map of numbers."""
+    shape = tuple(len(axis) for axis in block.points)
+    fits = block.size == shape and len(block.values) == math.prod(shape)
+    if block.kind not in ("FESTWERT", *MAP_BLOCKS) or not fits:
+        raise _wrong(
+            source,
+            block.line,
+            f"block {block.name} is no scalar, curve or map: it has "
+            f"{len(block.values)} values over {' x '.join(map(str, shape)) or 'no'} "
+            "points",
+        )
+    for axis in block.points:
+        if np.any(np.diff(axis) <= 0):
+            raise _wrong(
+                source, block.line, f"points of block {block.name} do not rise"
+            )
+    return block.points, block.values.reshape(shape[::-1]).T
 
 
 def _single(blocks: list[CalibrationBlock], source: str) -> list[CalibrationBlock]:

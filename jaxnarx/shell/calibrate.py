@@ -19,6 +19,7 @@ from jaxnarx.calibration import (
     CycleLimit,
     Measure,
     optimise,
+    read_map,
     require_inputs,
     signals_of,
 )
@@ -103,7 +104,7 @@ def read_task(path: str) -> CalibrationTask:
     with about(path):
         return CalibrationTask(
             {
-                name: from_dict(Calibratable, one, f"maps.{name}")
+                name: _read_map(name, one, Path(path).parent)
                 for name, one in given.get("maps", {}).items()
             },
             [
@@ -116,6 +117,18 @@ def read_task(path: str) -> CalibrationTask:
             ],
             from_dict(CalibrationSearch, given.get("search", {}), "search"),
         )
+
+
+def _read_map(name: str, given: Any, folder: Path) -> Calibratable:
+    """A map, begun where a DCM file that is named has it."""
+    where = f"maps.{name}"
+    if not isinstance(given, dict) or "dcm" not in given:
+        return from_dict(Calibratable, given, where)
+    rest = {k: v for k, v in given.items() if k not in ("dcm", "block")}
+    file, block = given["dcm"], given.get("block", name)
+    if not (isinstance(file, str) and isinstance(block, str)):
+        raise SpecError(f"{where}: dcm and block are a file and a name", field=where)
+    return read_map(folder / file, block, from_dict(Calibratable, rest, where))
 
 
 def _read_limit(given: dict[str, Any], where: str) -> CycleLimit:

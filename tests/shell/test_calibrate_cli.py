@@ -8,8 +8,14 @@ import pytest
 from calibration_problems import cycle, network_and_cycle
 
 import jaxnarx as jnx
+from jaxnarx.calibration import Calibratable, read_map
+from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.exporters import map_lines
 from jaxnarx.exporters.calibration import read_dcm
+from jaxnarx.shell.calibrate import read_task
 from jaxnarx.shell.cli import run
+
+STARTED = np.array([0.1, 0.2, 0.3])
 
 MAPS = """
 [maps.c]
@@ -64,6 +70,38 @@ def test_maps_are_optimised_and_written(jaxnarx, place):
     assert not (place / "done" / "state").exists()
     code, out, err = jaxnarx(line)
     assert code == 2 and "--force" in err
+
+
+def test_maps_begin_where_a_dcm_file_has_them(jaxnarx, place):
+    given = Calibratable(("s",), axes=((-1.0, 0.0, 1.0),), start=(0.1, 0.2, 0.3))
+    lines = map_lines("c", "f", "c", [(np.array(given.axes[0]), "")], "", STARTED)
+    text = "\n".join(["KONSERVIERUNG_FORMAT 2.0", *lines]) + "\n"
+    (place / "base.dcm").write_text(text)
+    task = MAPS.replace("start = 0.3", 'dcm = "base.dcm"')
+    (place / "from_dcm.toml").write_text(task.replace("axes = [[-1.0, 0.0, 1.0]]", ""))
+    found = read_task(str(place / "from_dcm.toml")).maps["c"]
+    assert found.start == STARTED.tolist() and found.axes == given.axes
+    line = "model.safetensors cycle.csv --maps from_dcm.toml --out begun"
+    assert jaxnarx(line)[0] == 0
+    told = json.loads((place / "begun" / "calibration.json").read_text())
+    assert told["maps"]["c"]["start"] == STARTED.tolist()
+
+
+def test_a_map_of_two_axes_is_read_as_it_is_written(place):
+    value, axes = np.arange(6.0).reshape(2, 3), (np.array([1.0, 2.0]), np.arange(3.0))
+    lines = map_lines("m", "f", "m", [(a, "") for a in axes], "", value)
+    text = "\n".join(["KONSERVIERUNG_FORMAT 2.0", *lines]) + "\n"
+    (place / "two.dcm").write_text(text)
+    found = read_map(place / "two.dcm", "m", Calibratable(("s", "t")))
+    assert found.start == value.tolist()
+    assert [list(a) for a in found.axes] == [a.tolist() for a in axes]
+    with pytest.raises(DataFileError, match="no block n"):
+        read_map(place / "two.dcm", "n", Calibratable(("s", "t")))
+    with pytest.raises(SpecError, match="2 axes"):
+        read_map(place / "two.dcm", "m", Calibratable(("s",)))
+    (place / "two.dcm").write_text(text.replace("ST/X 1.0 2.0", "ST/X 2.0 1.0"))
+    with pytest.raises(DataFileError, match="do not rise"):
+        read_map(place / "two.dcm", "m", Calibratable(("s", "t")))
 
 
 def test_what_is_wrong_is_named(jaxnarx, place):

@@ -24,7 +24,7 @@ class Calibrate:
     A small file, maps.toml:
         [maps.cam]
         over = ["speed", "throttle"]
-        size = [6, 6]
+        size = [6, 6]        # or dcm = "base.dcm" and block = "KF_CAM", to begin there
         [[objective]]
         of = "NOx"
         [[limits]]
