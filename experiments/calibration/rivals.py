@@ -25,8 +25,9 @@ from jaxnarx.calibration.setup import add_levels, join_plants, make_problem
 POPULATION = 16
 STEP = 0.2
 """First deviation of the evolution strategy, of the range."""
-PRICE = 10.0
-"""Of the largest share by which a limit is broken, in shares of the objective."""
+PRICE = 1000.0
+"""Of the largest share by which a limit is broken, in shares of the objective: more
+than any limit of the tasks costs (their multipliers are up to some ten)."""
 
 
 def best_constants(bed: Bed, model: Callable, demand: np.ndarray) -> Tables:
