@@ -142,8 +142,8 @@ def test_what_a_fleet_costs(tmp_path):
 @pytest.mark.slow
 def test_maps_are_checked_on_the_engine(tmp_path):
     experiment("calibration/maps.py", "--results", str(tmp_path))
-    figures = json.loads((tmp_path / "calibration.json").read_text())["figures"]
-    told = figures["summary"]["vct, best constants"]
+    figures = json.loads((tmp_path / "calibration_vct.json").read_text())["figures"]
+    told = figures["summary"]["best constants"]
     assert told["objective, promised"][0] < 1.0
     assert told["cycle"]["promise missed by, worst"] < 0.2
 

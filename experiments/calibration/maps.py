@@ -27,7 +27,7 @@ Beside it:
 
     python experiments/calibration/maps.py [--beds vct diesel] [--seeds 1 2 3 4 5]
 
-The results are written after every bed and seed.
+There is one file of results for every bed, written after each seed.
 """
 
 import argparse
@@ -145,28 +145,27 @@ WAYS = (
 )
 
 
-def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Medians and worst over seeds."""
+def summary(seeds: dict[str, Any]) -> dict[str, Any]:
+    """Medians and worst over seeds of a bed."""
     told: dict[str, Any] = {}
-    for name, seeds in found.items():
-        for way in WAYS:
-            rows = [s[way] for s in seeds.values() if way in s]
-            if not rows:
-                continue
-            one: dict[str, Any] = {
-                "objective, promised": [r["promised"][0] for r in rows],
+    for way in WAYS:
+        rows = [s[way] for s in seeds.values() if way in s]
+        if not rows:
+            continue
+        one: dict[str, Any] = {
+            "objective, promised": [r["promised"][0] for r in rows],
+        }
+        for at in ("cycle", "another"):
+            missed = [abs(r[f"{at}, promise missed by"]) for r in rows]
+            over = [r[f"{at}, limit broken by"] for r in rows]
+            one[at] = {
+                "objective, median": float(np.median([r[at][0] for r in rows])),
+                "promise missed by, median": float(np.median(missed)),
+                "promise missed by, worst": float(np.max(missed)),
+                "limit broken by, worst": float(np.max(over)),
+                "limits kept to a percent": int(sum(o <= TOLERATED for o in over)),
             }
-            for at in ("cycle", "another"):
-                missed = [abs(r[f"{at}, promise missed by"]) for r in rows]
-                over = [r[f"{at}, limit broken by"] for r in rows]
-                one[at] = {
-                    "objective, median": float(np.median([r[at][0] for r in rows])),
-                    "promise missed by, median": float(np.median(missed)),
-                    "promise missed by, worst": float(np.max(missed)),
-                    "limit broken by, worst": float(np.max(over)),
-                    "limits kept to a percent": int(sum(o <= TOLERATED for o in over)),
-                }
-            told[f"{name}, {way}"] = one
+        told[way] = one
     return told
 
 
@@ -185,10 +184,10 @@ def main() -> None:
         chosen, seeds = chosen[:1], seeds[:1]
     found: dict[str, dict[str, Any]] = {}
     for seed, name in itertools.product(seeds, chosen):
-        rows = bed_rows(name, seed, options.smoke)
-        found.setdefault(name, {})[str(seed)] = rows
-        figures = {"summary": summary(found), "beds": found}
-        record("calibration", figures, folder=folder)
+        rows = found.setdefault(name, {})
+        rows[str(seed)] = bed_rows(name, seed, options.smoke)
+        figures = {"summary": summary(rows), "seeds": rows}
+        record(f"calibration_{name}", figures, folder=folder)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnarx.calibration.formulas import evaluate
@@ -20,7 +21,8 @@ def measure_value(
     """A measure of all samples, of every draw of the plant.
 
     With `sharp` peaks are smooth: log-sum-exp, which lies above the peak by this share
-    of the signal's range at most.
+    of the signal's range at most. So are percentiles: a mean of the values around, see
+    `smooth_percentile`.
     """
     x = jnp.asarray(evaluate(measure.of, signal))
     match measure.kind:
@@ -33,10 +35,25 @@ def measure_value(
         case "lowest":
             return -smooth_peak(-x, sharp) if sharp else x.min(axis=1)
         case "percentile":
-            return jnp.quantile(x, measure.share, axis=1)
+            return smooth_percentile(x, measure.share, sharp)
         case _:
             apart = x - evaluate(measure.target, signal)
             return jnp.sqrt(jnp.mean(apart**2, axis=1))
+
+
+def smooth_percentile(
+    x: Float[Array, "draws samples"], share: float, sharp: float
+) -> Float[Array, " draws"]:
+    """Mean of the sorted values up to a share `sharp` of the samples away, the nearer
+    the more; between two values where `sharp` is zero.
+
+    One value alone has a slope that changes wherever another one takes its place, and a
+    search ends there.
+    """
+    count = x.shape[1]
+    apart = np.abs(np.arange(count) - share * (count - 1))
+    weight = np.maximum(1.0 - apart / max(1.0, sharp * count), 0.0)
+    return jnp.sort(x, axis=1) @ jnp.asarray(weight / weight.sum(), x.dtype)
 
 
 def smooth_peak(

@@ -188,7 +188,8 @@ class CalibrationSearch:
     draws: Chance = 0.95
     """Share of the plants, where there are several, that must keep every limit."""
     sharp: Positive = 0.01
-    """Error of smooth peaks, as a share of the signal's range."""
+    """Error of smooth peaks, as a share of the signal's range, and share of the samples
+    to each side that a smooth percentile is a mean of."""
 
 
 @dataclasses.dataclass(frozen=True)
