@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,12 +27,18 @@ from jaxnarx.exporters.target import Proof
 from jaxnarx.files import TemporaryFolder
 
 
-def python_runner(path: Path) -> Runner:
-    """A module that `python_files` has written."""
+def import_page(path: Path) -> Any:
+    """A module of Python that was written."""
     spec = importlib.util.spec_from_file_location("exported_model", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    return module
+
+
+def python_runner(path: Path) -> Runner:
+    """A module that `python_files` has written."""
+    module = import_page(path)
 
     def run(inputs, measured):
         model = module.Model()

@@ -259,16 +259,14 @@ def test_of_a_known_model_only_what_has_changed_is_written():
     text = text_of(net).replace("WERT 0.1 0.5 0.0 0.6", "WERT 0.1 0.5 0.0 0.7")
     moved = read_parameters(net, text)
     files = export(moved, to=["dcm"], name="m", since=net).files
-    short = bytes_of(dict(files)).decode("iso-8859-1")
-    blocks = re.findall(r"^(?:FESTWERTEBLOCK|KENN\w+) (\S+)", short, re.M)
-    assert len(blocks) == 1 and "0.7" in short and "rest_" not in short
-    assert same(read_parameters(net, short), moved)
+    text = bytes_of(dict(files)).decode("iso-8859-1")
+    blocks = re.findall(r"^(?:FESTWERTEBLOCK|KENN\w+) (\S+)", text, re.M)
+    assert len(blocks) == 1 and "0.7" in text and "rest_" not in text
+    assert same(read_parameters(net, text), moved)
     nothing = export(net, to=["dcm"], name="m", since=net)
     assert "FESTWERTEBLOCK" not in bytes_of(dict(nothing.files)).decode("iso-8859-1")
-    only = dataclasses.replace(
-        net, models=net.models[:1], modelled=(0,), lower=net.lower[:1]
-    )
-    only = dataclasses.replace(only, upper=net.upper[:1])
+    short = {"lower": net.lower[:1], "upper": net.upper[:1]}
+    only = dataclasses.replace(net, models=net.models[:1], modelled=(0,), **short)
     with pytest.raises(SpecError, match="other tables"):
         export(only, to=["dcm"], name="m", since=net)
 

@@ -118,7 +118,8 @@ class Export:
     math.h alone, in double or single precision; fmu2 and fmu3 are units of FMI 2.0 and
     3.0 for co-simulation, binary for this machine and source for others; python and
     javascript are files of one page without dependencies; matlab is a function that
-    keeps its state, for a MATLAB Function block or Octave, and a test of it.
+    keeps its state, for a MATLAB Function block or Octave, and a test of it; casadi is
+    a module with functions of CasADi for optimal control, which acados takes too.
 
     Every one is compiled where it must be and run over the records of FILE, without any
     over steps within the trained ranges, beside the model, and over inputs that drop
@@ -143,7 +144,8 @@ class Export:
     to: Annotated[
         tuple[
             Literal[
-                "c", "fmu2", "fmu3", "python", "javascript", "matlab", "dcm", "a2l"
+                *("c", "fmu2", "fmu3", "python", "javascript", "matlab"),
+                *("casadi", "dcm", "a2l"),
             ],
             ...,
         ],
