@@ -19,6 +19,7 @@ from jaxnarx.calibration import (
     Measure,
 )
 from jaxnarx.calibration.lagrangian import evaluate_merit, lagrangian
+from jaxnarx.calibration.measures import smooth_percentile
 from jaxnarx.calibration.problem import begin_numbers, run_cycle
 from jaxnarx.calibration.setup import add_levels, join_plants, make_problem
 from jaxnarx.errors import DataError, SpecError
@@ -111,6 +112,18 @@ def problem_of(plant, maps, objective, limits=(), data=None, **search):
     problem = make_problem(joined, draws, network, *given)
     before = run_cycle(problem, tuple(m.start for m in problem.maps))
     return add_levels(problem, before)
+
+
+def test_a_percentile_is_smooth_in_a_search_alone():
+    x = np.random.default_rng(4).normal(size=(2, 501))
+    for share in (0.0, 0.05, 0.5, 0.9):
+        exact = smooth_percentile(jnp.asarray(x), share, 0.0)
+        np.testing.assert_allclose(exact, np.quantile(x, share, axis=1), rtol=1e-12)
+    near_it = smooth_percentile(jnp.asarray(x), 0.9, 0.02)
+    np.testing.assert_allclose(near_it, np.quantile(x, 0.9, axis=1), atol=0.03)
+    slope = jax.grad(lambda x: smooth_percentile(x, 0.9, 0.02).sum())(jnp.asarray(x))
+    assert np.count_nonzero(np.asarray(slope)[0]) > 10
+    np.testing.assert_allclose(np.asarray(slope).sum(axis=1), 1.0, rtol=1e-12)
 
 
 def near(maps):
