@@ -120,8 +120,9 @@ class CalibrationProblem(eqx.Module):
     """Plant, cycle and maps, with what is wanted and what must be kept.
 
     `plant` has a leading axis of draws where there are several. `level` are the
-    objective's values of the start, `limit` those of the limits, `scale` what one is
-    measured by; `index` is the largest index of the domain at every sample.
+    objective's values of the start, `limit` the numbers that every draw must keep,
+    `scale` what a limit is measured by; `index` is the largest index of the domain at
+    every sample.
     """
 
     plant: AbstractPlant
@@ -132,7 +133,7 @@ class CalibrationProblem(eqx.Module):
     limits: tuple[CycleLimit, ...] = eqx.field(static=True)
     search: CalibrationSearch = eqx.field(static=True)
     level: Float[Array, " objective"]
-    limit: Float[Array, " limits"]
+    limit: Float[Array, "limits draws"]
     scale: Float[Array, " limits"]
     domain: Domain | None = None
     index: Float[Array, "records time"] | None = None
@@ -251,7 +252,7 @@ class CalibrationProblem(eqx.Module):
         """By how much limits are broken, over their scale: of the share of the draws
         that must keep them."""
         sign = jnp.array([one.sign for one in self.limits], limits.dtype)
-        over = sign[:, None] * (limits - self.limit[:, None]) / self.scale[:, None]
+        over = sign[:, None] * (limits - self.limit) / self.scale[:, None]
         if self.draws == 1:
             return over[:, 0]
         return jnp.quantile(over, self.search.draws, axis=1)

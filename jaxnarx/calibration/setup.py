@@ -239,7 +239,7 @@ def make_problem(
     )
     kind = cycle.values.dtype
     domain = None if network is None or search.index is None else network.domain
-    ones = jnp.ones(len(limits), kind)
+    count = len(limits)
     return CalibrationProblem(
         plant,
         draws,
@@ -249,8 +249,8 @@ def make_problem(
         tuple(limits),
         search,
         jnp.ones(len(objective), kind),
-        ones,
-        ones,
+        jnp.ones((count, draws), kind),
+        jnp.ones(count, kind),
         domain,
     )
 
@@ -259,15 +259,12 @@ def add_levels(problem: CalibrationProblem, before: CycleRun) -> CalibrationProb
     """The problem with the values of the start: of the objective and of limits, and the
     index of the domain."""
     found = measure_run(problem, before)
-    wanted, kept = (np.asarray(a).mean(axis=1) for a in found)
+    wanted, kept = np.asarray(found.objective).mean(axis=1), np.asarray(found.limits)
     level = np.where(np.abs(wanted) > 0, np.abs(wanted), 1.0)
-    number = np.array(
-        [
-            one.number * (start if one.of_start else 1.0)
-            for one, start in zip(problem.limits, kept, strict=True)
-        ]
-    ).reshape(len(kept))
-    size = np.maximum(np.abs(number), SCALE_SHARE * np.abs(kept))
+    number = np.ones_like(kept)
+    for n, one in enumerate(problem.limits):
+        number[n] = one.number * (kept[n] if one.of_start else 1.0)
+    size = np.maximum(np.abs(number), SCALE_SHARE * np.abs(kept)).mean(axis=1)
     index = None
     if problem.domain is not None:
         own = np.asarray(domain_indices(problem, before.u[:1]))[0]

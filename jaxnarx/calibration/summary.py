@@ -108,8 +108,9 @@ def _limit_rows(
     before, after = np.asarray(start), np.asarray(found)
     rows = []
     for n, one in enumerate(problem.limits):
-        number, scale = float(problem.limit[n]), float(problem.scale[n])
-        each = one.sign * (after[n] - number) / scale
+        limit, scale = np.asarray(problem.limit[n]), float(problem.scale[n])
+        number = float(limit.mean())
+        each = one.sign * (after[n] - limit) / scale
         rows.append(
             MeasureRow(
                 str(one),

@@ -134,7 +134,8 @@ class CycleLimit:
     at_least: float | int | None = None
     """Least value."""
     of_start: bool = False
-    """Whether these are multiples of the value with the calibration to begin with."""
+    """Whether these are multiples of the value with the calibration to begin with; of
+    several plants each of its own."""
 
     def __post_init__(self) -> None:
         require(

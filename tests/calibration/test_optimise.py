@@ -215,6 +215,23 @@ def test_several_plants_are_calibrated_together():
     assert found.value["c"].value.mean() < alone.value["c"].value.mean()
 
 
+def test_limits_of_the_start_are_those_of_every_plant_itself():
+    network, _ = network_and_cycle()
+    plants = [
+        dataclasses.replace(network, gain=network.gain * jnp.ones(4).at[3].set(g))
+        for g in (1.0, 1.1, 1.2)
+    ]
+    limit = CycleLimit(Measure("heat"), at_most=1.0, of_start=True)
+    maps, wanted = {"c": CURVE}, [Measure("abs(c - 0.5) + 1")]
+    found = optimised(maps, wanted, [limit], plant=plants, draws=0.999)
+    alone = optimised(maps, wanted, [limit], plant=plants[0])
+    (row,) = found.value.limits
+    assert row.kept and row.draws_kept == 1.0
+    np.testing.assert_allclose(
+        found.value["c"].value, alone.value["c"].value, rtol=0, atol=0.02
+    )
+
+
 def test_a_search_goes_on_where_it_was_stopped(tmp_path):
     limit = CycleLimit(Measure("heat", "peak"), at_most=0.05)
     given = PLANT, cycle(), {"c": CURVE}, [Measure("y + 1")], [limit]

@@ -144,8 +144,15 @@ class Export:
     to: Annotated[
         tuple[
             Literal[
-                *("c", "fmu2", "fmu3", "python", "javascript", "matlab"),
-                *("casadi", "dcm", "a2l"),
+                "c",
+                "fmu2",
+                "fmu3",
+                "python",
+                "javascript",
+                "matlab",
+                "casadi",
+                "dcm",
+                "a2l",
             ],
             ...,
         ],
