@@ -20,7 +20,7 @@ from jaxnarx.calibration import (
 )
 from jaxnarx.calibration.lagrangian import evaluate_merit, lagrangian
 from jaxnarx.calibration.measures import smooth_percentile
-from jaxnarx.calibration.problem import begin_numbers, run_cycle
+from jaxnarx.calibration.problem import begin_numbers, measure_run, run_cycle
 from jaxnarx.calibration.setup import add_levels, join_plants, make_problem
 from jaxnarx.errors import DataError, SpecError
 
@@ -221,15 +221,14 @@ def test_limits_of_the_start_are_those_of_every_plant_itself():
         dataclasses.replace(network, gain=network.gain * jnp.ones(4).at[3].set(g))
         for g in (1.0, 1.1, 1.2)
     ]
-    limit = CycleLimit(Measure("heat"), at_most=1.0, of_start=True)
-    maps, wanted = {"c": CURVE}, [Measure("abs(c - 0.5) + 1")]
-    found = optimised(maps, wanted, [limit], plant=plants, draws=0.999)
-    alone = optimised(maps, wanted, [limit], plant=plants[0])
-    (row,) = found.value.limits
-    assert row.kept and row.draws_kept == 1.0
-    np.testing.assert_allclose(
-        found.value["c"].value, alone.value["c"].value, rtol=0, atol=0.02
-    )
+    limit = CycleLimit(Measure("heat"), at_most=1.1, of_start=True)
+    problem = problem_of(plants, {"c": CURVE}, [Measure("y + 1")], [limit])
+    run = run_cycle(problem, tuple(m.start for m in problem.maps))
+    own = measure_run(problem, run).limits
+    np.testing.assert_allclose(problem.limit, 1.1 * np.asarray(own), rtol=1e-12)
+    ratio = np.asarray(own)[0] / own[0, 0]
+    np.testing.assert_allclose(ratio, [1.0, 1.1, 1.2], rtol=1e-9)
+    assert float(problem.excess(own)[0]) < 0
 
 
 def test_a_search_goes_on_where_it_was_stopped(tmp_path):
