@@ -152,7 +152,13 @@ def readme(found: Exported, typed: str, data: Dataset | None) -> str:
 def _calibration(program: SampleProgram, found: Exported) -> list[str]:
     """A section on the files for calibration, where there are some."""
     name, lines = program.name, []
-    if f"{name}.dcm" in found.files:
+    if f"{name}.dcm" in found.files and program.changed is not None:
+        told = ", ".join(f"`{name}_{n}`" for n in sorted(program.changed)) or "none"
+        lines += [
+            f"- `{name}.dcm` (DCM 2.0, ISO 8859-1): only the tables that differ from "
+            f"those of the model before, {told}. Proven by reading the file back.",
+        ]
+    elif f"{name}.dcm" in found.files:
         lines += [
             f"- `{name}.dcm` (DCM 2.0, ISO 8859-1): blocks have the names and numbers "
             "of the C arrays, with the digits that read back exactly. Blocks "
