@@ -42,7 +42,9 @@ def read_map(
     try:
         text = Path(path).read_bytes().decode("iso-8859-1")
     except OSError as error:
-        raise DataFileError(f"{source}: {error.strerror}", path=source) from error
+        raise DataFileError(
+            f"{source} cannot be read: {error.strerror}", path=source
+        ) from error
     blocks = {one.name: one for one in read_dcm(text, source)}
     if block not in blocks:
         raise DataFileError(
