@@ -30,10 +30,9 @@ Beside it:
 There is one file of results for every bed, written after each seed.
 """
 
-import argparse
+import dataclasses
 import itertools
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -43,7 +42,7 @@ import jax
 import numpy as np
 
 import jaxnarx as jnx
-from jaxnarx.calibration import CalibrationSearch, LookupTable, NetworkPlant
+from jaxnarx.calibration import CalibrationSearch, NetworkPlant
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / "benchmarks"), str(HERE)]
@@ -58,6 +57,7 @@ from tasks import (  # noqa: E402 # pyright: ignore
     TOLERATED,
     Bed,
     broken,
+    read_options,
 )
 
 MORE_RUNS, FEW_RUNS = 50, 3
@@ -71,7 +71,7 @@ def model_of(network: jnx.Network) -> tuple[NetworkPlant, Callable]:
     return plant, lambda u: np.asarray(compiled(plant, jax.device_put(u)))
 
 
-def judged(bed: Bed, model: Callable, tables, demands: list[np.ndarray]):
+def judge(bed: Bed, model: Callable, tables, demands: list[np.ndarray]):
     """What was promised, and what the engine did on both cycles."""
     told = bed.ratios(model, demands[0], tables)
     row: dict[str, Any] = {"promised": told.tolist()}
@@ -83,33 +83,10 @@ def judged(bed: Bed, model: Callable, tables, demands: list[np.ndarray]):
     return row
 
 
-def searched(bed: Bed, network: jnx.Network, demand: np.ndarray, index, rounds: int):
-    """Maps by gradient, and what their search cost."""
-    begin = time.perf_counter()
-    found = jnx.calibration.optimise(
-        network,
-        bed.cycle(demand),
-        bed.maps(),
-        [bed.task.objective],
-        bed.task.limits,
-        search=CalibrationSearch(index=index, rounds=rounds),
-    )
-    cost = {
-        "status": found.status_name,
-        "seconds": round(time.perf_counter() - begin, 1),
-        "steps": found.stats["steps"],
-        "runs": sum(row["runs"] for row in found.stats["history"]),
-    }
-    tables = {
-        m.name: LookupTable(*jax.device_put((m.value, m.axes)))
-        for m in found.value.maps
-    }
-    return tables, cost
-
-
 def bed_rows(name: str, seed: int, small: bool) -> dict[str, Any]:
     """All ways of one bed and seed."""
-    rounds = 2 if small else 8
+    inside = CalibrationSearch(rounds=2 if small else 8)
+    anywhere = dataclasses.replace(inside, index=None)
     bed = Bed(TASKS[name], seed, 300 if small else LENGTH)
     network = bed.network()
     plant, model = model_of(network)
@@ -119,22 +96,22 @@ def bed_rows(name: str, seed: int, small: bool) -> dict[str, Any]:
     rows: dict[str, Any] = {
         "NRMSE of the model": (error.std(axis=0) / test[50:].std(axis=0)).tolist()
     }
-    own, cost = searched(bed, network, demands[0], 1.0, rounds)
-    rows["optimised"] = judged(bed, model, own, demands) | cost
-    free, more = searched(bed, network, demands[0], None, rounds)
-    rows["without the domain"] = judged(bed, model, free, demands) | more
+    own, cost = bed.optimise(network, demands[0], inside)
+    rows["optimised"] = judge(bed, model, own, demands) | cost
+    free, more = bed.optimise(network, demands[0], anywhere)
+    rows["without the domain"] = judge(bed, model, free, demands) | more
     tested = bed.network([bed.with_maps(bed.excite(TESTED), own)])
-    again, more = searched(bed, tested, demands[0], 1.0, rounds)
-    rows["with a test"] = judged(bed, model_of(tested)[1], again, demands) | more
+    again, more = bed.optimise(tested, demands[0], inside)
+    rows["with a test"] = judge(bed, model_of(tested)[1], again, demands) | more
     more_runs = (FEW_RUNS if small else MORE_RUNS) * cost["runs"]
     evolved = evolve(bed, network, demands[0], more_runs)
     if evolved is not None:
-        rows["CMA-ES"] = judged(bed, model, evolved, demands)
+        rows["CMA-ES"] = judge(bed, model, evolved, demands)
     for way, tables in {
         "best constants": best_constants(bed, model, demands[0]),
         "pointwise at rest": pointwise(bed, plant, demands[0]),
     }.items():
-        rows[way] = judged(bed, model, tables, demands)
+        rows[way] = judge(bed, model, tables, demands)
     print(name, seed, rows, flush=True)
     return rows
 
@@ -171,19 +148,11 @@ def summary(seeds: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Measure and record."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--beds", nargs="+", default=list(TASKS))
-    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4, 5])
-    parser.add_argument("--smoke", action="store_true", help="one bed, short records")
-    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
-    options = parser.parse_args()
+    options = read_options(__doc__, list(TASKS), 5)
     jax.config.update("jax_enable_x64", True)
     folder = results_folder(options.results, smoke=options.smoke)
-    chosen, seeds = options.beds, options.seeds
-    if options.smoke:
-        chosen, seeds = chosen[:1], seeds[:1]
     found: dict[str, dict[str, Any]] = {}
-    for seed, name in itertools.product(seeds, chosen):
+    for seed, name in itertools.product(options.seeds, options.beds):
         rows = found.setdefault(name, {})
         rows[str(seed)] = bed_rows(name, seed, options.smoke)
         figures = {"summary": summary(rows), "seeds": rows}

@@ -13,11 +13,9 @@ their own start.
 The results are written after every bed and seed.
 """
 
-import argparse
 import dataclasses
 import itertools
 import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,7 @@ import jax
 import numpy as np
 
 import jaxnarx as jnx
-from jaxnarx.calibration import CalibrationSearch, LookupTable
+from jaxnarx.calibration import CalibrationSearch, CycleLimit
 from jaxnarx.engines import family
 
 HERE = Path(__file__).resolve().parent
@@ -40,6 +38,7 @@ from tasks import (  # noqa: E402 # pyright: ignore
     TOLERATED,
     Bed,
     broken,
+    read_options,
 )
 
 BEDS = "vct", "pfi"
@@ -63,17 +62,10 @@ class Donors(Mapping[str, jnx.Dataset]):
 
     def __getitem__(self, name: str) -> jnx.Dataset:
         bed, number = self.members[name], FIRST_RECORD + int(name.split()[1])
-        u = bed.excite(number)
-        return jnx.Dataset.from_arrays(
-            u,
-            bed.measured(u, number),
-            inputs=list(bed.task.inputs),
-            outputs=list(bed.task.outputs),
-            sample_time=bed.step,
-        )
+        return bed.measure({number: bed.excite(number)})
 
 
-def engines_of(name: str, seed: int, count: int, length: int) -> list[Bed]:
+def make_engines(name: str, seed: int, count: int, length: int) -> list[Bed]:
     """Beds of engines whose parameters are off."""
     task = TASKS[name]
     drawn = family(task.make(), jax.random.key(seed), count, spread=SPREAD)
@@ -83,37 +75,14 @@ def engines_of(name: str, seed: int, count: int, length: int) -> list[Bed]:
     ]
 
 
-def optimised(bed: Bed, plant: Any, margin: float, rounds: int):
-    """Maps of the bed's task for one plant or for several, and what it cost."""
-    limits = [
-        dataclasses.replace(
-            one,
-            at_most=one.at_most and one.at_most - margin,
-            at_least=one.at_least and one.at_least + margin,
-        )
-        for one in bed.task.limits
-    ]
-    begin = time.perf_counter()
-    found = jnx.calibration.optimise(
-        plant,
-        bed.cycle(bed.excite(DEMAND)),
-        bed.maps(),
-        [bed.task.objective],
-        limits,
-        search=CalibrationSearch(rounds=rounds),
-    )
-    tables = {
-        m.name: LookupTable(*jax.device_put((m.value, m.axes)))
-        for m in found.value.maps
-    }
-    return tables, {
-        "status": found.status_name,
-        "seconds": round(time.perf_counter() - begin, 1),
-    }
+def tighten(limit: CycleLimit, margin: float) -> CycleLimit:
+    """A limit whose number is tighter by a margin."""
+    side = "at_most" if limit.at_most is not None else "at_least"
+    return dataclasses.replace(limit, **{side: limit.number - limit.sign * margin})
 
 
-def judged(nominal: Bed, sisters: list[Bed], tables: Any) -> dict[str, Any]:
-    """What the maps do on other engines, over two cycles."""
+def judge(nominal: Bed, sisters: list[Bed], tables: Any) -> dict[str, Any]:
+    """The change of measures by the maps, on other engines, over two cycles."""
     told: dict[str, Any] = {}
     for name, number in (("cycle", DEMAND), ("another", ANOTHER)):
         demand = nominal.excite(number)
@@ -138,8 +107,9 @@ def judged(nominal: Bed, sisters: list[Bed], tables: Any) -> dict[str, Any]:
 def bed_rows(name: str, seed: int, small: bool) -> dict[str, Any]:
     """All ways of one bed and seed."""
     donors, drawn, count = (6, 2, 2) if small else (DONORS, DRAWN, JUDGED)
-    length, rounds = (200, 1) if small else (LENGTH, 8)
-    engines = engines_of(name, seed, donors + count, length)
+    length = 200 if small else LENGTH
+    search = CalibrationSearch(rounds=1 if small else 8)
+    engines = make_engines(name, seed, donors + count, length)
     nominal = Bed(TASKS[name], seed, length)
     network = nominal.network()
     prior = jnx.fleet.learn(Donors(engines[:donors]), network).value
@@ -150,8 +120,10 @@ def bed_rows(name: str, seed: int, small: bool) -> dict[str, Any]:
         ("robust", several, 0.0),
         ("robust, with a margin", several, MARGIN),
     ):
-        tables, cost = optimised(nominal, plant, margin, rounds)
-        rows[way] = judged(nominal, engines[donors:], tables) | cost
+        limits = [tighten(one, margin) for one in nominal.task.limits]
+        demand = nominal.excite(DEMAND)
+        tables, cost = nominal.optimise(plant, demand, search, limits)
+        rows[way] = judge(nominal, engines[donors:], tables) | cost
     print(name, seed, rows, flush=True)
     return rows
 
@@ -171,19 +143,11 @@ def summary(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
 
 def main() -> None:
     """Measure and record."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--beds", nargs="+", default=list(BEDS))
-    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
-    parser.add_argument("--smoke", action="store_true", help="one bed, few engines")
-    parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
-    options = parser.parse_args()
+    options = read_options(__doc__, BEDS, 3)
     jax.config.update("jax_enable_x64", True)
     folder = results_folder(options.results, smoke=options.smoke)
-    chosen, seeds = options.beds, options.seeds
-    if options.smoke:
-        chosen, seeds = chosen[:1], seeds[:1]
     found: dict[str, dict[str, Any]] = {}
-    for seed, name in itertools.product(seeds, chosen):
+    for seed, name in itertools.product(options.seeds, options.beds):
         rows = bed_rows(name, seed, options.smoke)
         found.setdefault(name, {})[str(seed)] = rows
         figures = {"summary": summary(found), "beds": found}

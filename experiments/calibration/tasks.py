@@ -1,6 +1,8 @@
 """Calibration tasks on virtual engines: what is moved, wanted, kept; data of them."""
 
+import argparse
 import functools
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxnarx as jnx
-from jaxnarx.calibration import Calibratable, CycleLimit, LookupTable, Measure
+from jaxnarx.calibration import (
+    Calibratable,
+    CalibrationSearch,
+    CycleLimit,
+    LookupTable,
+    Measure,
+)
 from jaxnarx.calibration.formulas import evaluate
 from jaxnarx.engines import Diesel, Gtdi, PfiDyno, Vct
 
@@ -150,9 +158,13 @@ class Bed:
     def dataset(self, tested: Sequence[np.ndarray] = ()) -> jnx.Dataset:
         """Noisy records, and those of these inputs behind them."""
         u = [self.excite(n) for n in range(TRAINED)] + list(tested)
+        return self.measure(dict(enumerate(u)))
+
+    def measure(self, u: dict[int, np.ndarray]) -> jnx.Dataset:
+        """Noisy records of inputs, by the numbers of the measurements."""
         return jnx.Dataset.from_arrays(
-            u,
-            [self.measured(one, n) for n, one in enumerate(u)],
+            list(u.values()),
+            [self.measured(one, n) for n, one in u.items()],
             inputs=list(self.task.inputs),
             outputs=list(self.task.outputs),
             sample_time=self.step,
@@ -179,7 +191,7 @@ class Bed:
         )
 
     def cycle(self, demand: np.ndarray) -> jnx.Dataset:
-        """What no map sets."""
+        """Signals of the cycle that no map sets."""
         kept = [n for n in self.task.inputs if n not in self.task.maps]
         return jnx.Dataset.from_arrays(
             demand[:, [self.task.inputs.index(n) for n in kept]],
@@ -226,6 +238,35 @@ class Bed:
             for n, (_, (low, high)) in self.task.maps.items()
         }
 
+    def optimise(
+        self,
+        plant: Any,
+        demand: np.ndarray,
+        search: CalibrationSearch,
+        limits: Sequence[CycleLimit] | None = None,
+    ) -> tuple[Tables, dict[str, Any]]:
+        """Maps by gradient, of one plant or several, and what their search cost."""
+        begin = time.perf_counter()
+        found = jnx.calibration.optimise(
+            plant,
+            self.cycle(demand),
+            self.maps(),
+            [self.task.objective],
+            self.task.limits if limits is None else limits,
+            search=search,
+        )
+        cost = {
+            "status": found.status_name,
+            "seconds": round(time.perf_counter() - begin, 1),
+            "steps": found.stats["steps"],
+            "runs": sum(row["runs"] for row in found.stats["history"]),
+        }
+        tables = {
+            m.name: LookupTable(*jax.device_put((m.value, m.axes)))
+            for m in found.value.maps
+        }
+        return tables, cost
+
     def with_maps(self, demand: np.ndarray, tables: Tables) -> np.ndarray:
         """The demand with what maps set."""
         u = demand.copy()
@@ -245,6 +286,20 @@ class Bed:
         """Measures over those of the start."""
         u, before = (self.with_maps(demand, t) for t in (tables, self.start))
         return self.measures(u, run(u)) / self.measures(before, run(before))
+
+
+def read_options(about: str | None, beds: Sequence[str], seeds: int) -> Any:
+    """Beds, seeds and the folder of results that a command line asks for."""
+    parser = argparse.ArgumentParser(description=about)
+    add = parser.add_argument
+    add("--beds", nargs="+", default=list(beds))
+    add("--seeds", nargs="+", type=int, default=list(range(1, seeds + 1)))
+    add("--smoke", action="store_true", help="one bed, short records, few engines")
+    add("--results", metavar="DIR", help="folder for the JSON")
+    options = parser.parse_args()
+    if options.smoke:
+        options.beds, options.seeds = options.beds[:1], options.seeds[:1]
+    return options
 
 
 @eqx.filter_jit

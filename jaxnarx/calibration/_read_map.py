@@ -2,11 +2,10 @@
 
 import dataclasses
 import os
-from pathlib import Path
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.errors import DataFileError, SpecError, suggest
-from jaxnarx.exporters import map_of, read_dcm
+from jaxnarx.exporters import map_of, read_dcm, read_text
 from jaxnarx.settings import Calibratable
 
 
@@ -39,13 +38,7 @@ def read_map(
             print(error)
     """
     source = str(path)
-    try:
-        text = Path(path).read_bytes().decode("iso-8859-1")
-    except OSError as error:
-        raise DataFileError(
-            f"{source} cannot be read: {error.strerror}", path=source
-        ) from error
-    blocks = {one.name: one for one in read_dcm(text, source)}
+    blocks = {one.name: one for one in read_dcm(read_text(path), source)}
     if block not in blocks:
         raise DataFileError(
             f"{source} has no block {block}. {suggest(block, list(blocks))}",

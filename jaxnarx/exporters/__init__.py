@@ -9,6 +9,7 @@ from jaxnarx.exporters._javascript import javascript as javascript
 from jaxnarx.exporters._lower import lower as lower
 from jaxnarx.exporters.calibration import map_of as map_of
 from jaxnarx.exporters.calibration import read_dcm as read_dcm
+from jaxnarx.exporters.calibration import read_text as read_text
 from jaxnarx.exporters.dcm import map_lines as map_lines
 from jaxnarx.exporters.dcm import sanitise as sanitise
 from jaxnarx.exporters.form import BLEND as BLEND

@@ -1,9 +1,9 @@
 """Functions of CasADi: the model inside of an optimal control problem.
 
-What one sample takes is written as expressions of CasADi's SX, of which it makes
+A sample of the model is written as expressions of CasADi's SX, of which CasADi makes
 derivatives and C; acados takes the same expressions for discrete dynamics. Inputs are
-finite in an optimisation: what a program keeps for those that are not is left out, and
-so are flags. References: J. A. E. Andersson, J. Gillis, G. Horn, J. B. Rawlings, M.
+finite in an optimisation: all that a program keeps for others is left out, and so are
+flags. References: J. A. E. Andersson, J. Gillis, G. Horn, J. B. Rawlings, M.
 Diehl, CasADi, Mathematical Programming Computation 11, 2019; R. Verschueren and others,
 acados, Mathematical Programming Computation 14, 2022.
 """
@@ -11,34 +11,37 @@ acados, Mathematical Programming Computation 14, 2022.
 import dataclasses
 import importlib.util
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from string import Template
 
 import numpy as np
 
-from jaxnarx.exporters.code import (
-    INFIX_TEMPLATES,
-    Syntax,
-    comment,
-    digits,
-    statements,
-    value_text,
-)
-from jaxnarx.exporters.form import Op, SampleProgram, Value
+from jaxnarx.exporters.code import INFIX_TEMPLATES, Syntax, comment, digits
+from jaxnarx.exporters.entrance import HELD_PREFIX
+from jaxnarx.exporters.form import Op, ParameterTable, SampleProgram
 from jaxnarx.exporters.proof import DOUBLE_TOLERANCE, Case, Runner, worst
 from jaxnarx.exporters.runners import import_page
-from jaxnarx.exporters.scripts import describe_ports, number, sources
+from jaxnarx.exporters.scripts import Language, number, sources, write_page
 from jaxnarx.exporters.target import Files, Golden, Proof
-
-HELD_PREFIX = "held_"
-"""Names of the states that keep the last finite value of an input."""
 
 
 def casadi_files(program: SampleProgram, golden: Golden) -> Files:
     """A module of Python with the functions `step`, `f`, `h`, `begin` and `observe`."""
     del golden
-    return {f"{program.name}_casadi.py": _page(without_gaps(program))}
+    bare = without_gaps(program)
+    ports = bare.inputs
+    extra = {
+        "states": json.dumps(list(_name_states(bare))),
+        "outputs_told": json.dumps([p.name for p in bare.reported]),
+        "low": str([float(p.low) for p in ports]),
+        "high": str([float(p.high) for p in ports]),
+        "unpack": "\n".join(_unpack(bare)),
+        "packed": ", ".join(
+            [*(f"*{d.name}" for d in bare.delays), *(s.name for s in bare.states)]
+        ),
+    }
+    return {f"{program.name}_casadi.py": write_page(bare, CASADI, extra)}
 
 
 def without_gaps(program: SampleProgram) -> SampleProgram:
@@ -68,22 +71,49 @@ def _keeps_input(program: SampleProgram, op: Op) -> bool:
     return new.kind == "input" and kept
 
 
-_SYNTAX = Syntax(
-    source=sources("{name}", "{name}", 0, "[{}]"),
-    operation=INFIX_TEMPLATES
-    | {
-        "max": "ca.fmax({0}, {1})",
-        "min": "ca.fmin({0}, {1})",
-        "less": "{0} < {1}",
-        "where": "ca.if_else({0} > 0.5, {1}, {2})",
-        "exp": "ca.exp({0})",
-        "sqrt": "ca.sqrt({0})",
-    },
-    number=number("float('nan')", "float('inf')"),
-    assign="{name} = {value}",
-)
+def _syntax(program: SampleProgram) -> Syntax:
+    del program
+    return Syntax(
+        source=sources("{name}", "{name}", 0, "[{}]"),
+        operation=INFIX_TEMPLATES
+        | {
+            "max": "ca.fmax({0}, {1})",
+            "min": "ca.fmin({0}, {1})",
+            "less": "{0} < {1}",
+            "where": "ca.if_else({0} > 0.5, {1}, {2})",
+            "exp": "ca.exp({0})",
+            "sqrt": "ca.sqrt({0})",
+        },
+        number=number("math.nan", "math.inf"),
+        assign="{name} = {value}",
+    )
 
-_PAGE = Template('''"""$about
+
+def _table(table: ParameterTable) -> list[str]:
+    numbers = ", ".join(digits(x) for x in table.values.ravel())
+    return [f"# {comment(table.about)}", f"{table.name} = [{numbers}]"]
+
+
+def _name_states(program: SampleProgram) -> Iterator[str]:
+    """Names of the entries of the state, line by line."""
+    for line in program.delays:
+        yield from (f"{line.name}[t-{k + 1}]" for k in range(line.length))
+    yield from (state.name for state in program.states)
+
+
+def _unpack(program: SampleProgram) -> Iterator[str]:
+    """Statements that take lines and states from the entries of x."""
+    at = 0
+    for line in program.delays:
+        yield f"    {line.name} = [x[k] for k in range({at}, {at + line.length})]"
+        at += line.length
+    for state in program.states:
+        yield f"    {state.name} = x[{at}]"
+        at += 1
+
+
+CASADI = Language(
+    page=Template('''"""$about
 
     x = begin(u, y)        # as if inputs and outputs had been so for ever
     x = observe(x, u, y)   # for every sample of measured history, if any
@@ -101,34 +131,39 @@ Inputs must be finite. What an export to other targets says of missing inputs, f
 intervals is left out.
 """
 
+import math
+
 import casadi as ca
 
 SAMPLE_TIME = $sample_time
 HISTORY = $history
 STATES = $states
 INPUTS = $inputs
-OUTPUTS = $outputs
-MEASURED = $measured
+OUTPUTS = $outputs_told
+MEASURED = $outputs
 LOW = $low
 HIGH = $high
 
 $tables
 
 
-def _unpack(x):
-    return ($unpacked)
-
-
 def _begin(u, y):
 $begin
+    return ca.vertcat(ca.SX(0, 1), $packed)
 
 
 def _observe(x, u, y):
+$unpack
 $observe
+    return ca.vertcat(ca.SX(0, 1), $packed)
 
 
 def _step(x, u):
+$unpack
 $step
+    out = ca.vertcat(*$values)
+$keep
+    return ca.vertcat(ca.SX(0, 1), $packed), out
 
 
 _x, _u = ca.SX.sym("x", len(STATES)), ca.SX.sym("u", len(INPUTS))
@@ -141,119 +176,18 @@ begin = ca.Function("begin", [_u, _y], [_begin(_u, _y)], ["u", "y"], ["x"])
 observe = ca.Function(
     "observe", [_x, _u, _y], [_observe(_x, _u, _y)], ["x", "u", "y"], ["x_next"]
 )
-''')
-
-
-def _page(program: SampleProgram) -> str:
-    kept = [d.name for d in program.delays] + [s.name for s in program.states]
-    states = [f"{d.name}[t-{k + 1}]" for d in program.delays for k in range(d.length)]
-    states += [s.name for s in program.states]
-    ports = program.inputs
-    page = _PAGE.substitute(
-        about=describe_ports(program),
-        sample_time=digits(program.sample_time),
-        history=str(program.history),
-        states=json.dumps(states),
-        inputs=json.dumps([p.name for p in ports]),
-        outputs=json.dumps([p.name for p in program.reported]),
-        measured=json.dumps([p.name for p in program.computed]),
-        low=_list(digits(p.low) for p in ports),
-        high=_list(digits(p.high) for p in ports),
-        tables="\n".join(_tables(program)),
-        unpacked=_tuple(_places(program)),
-        begin=_body(
-            program,
-            program.needed_operations(
-                [kept.start for kept in (*program.delays, *program.states)]
-            ),
-            _vector(
-                [
-                    *(
-                        _text(program, d.start)
-                        for d in program.delays
-                        for _ in range(d.length)
-                    ),
-                    *(_text(program, s.start) for s in program.states),
-                ]
-            ),
-        ),
-        observe=_body(
-            program,
-            program.observe,
-            _kept(program, measured=True),
-            kept,
-        ),
-        step=_body(
-            program,
-            program.needed_operations(
-                [
-                    *program.outputs,
-                    *(d.source for d in program.delays),
-                    *(s.source for s in program.states),
-                ]
-            ),
-            _kept(program, measured=False)
-            + ", "
-            + _vector([_text(program, n) for n in program.outputs]),
-            kept,
-        ),
-    )
-    return "\n".join(line.rstrip() for line in page.splitlines()) + "\n"
-
-
-def _places(program: SampleProgram) -> Iterable[str]:
-    """What the entries of the state are, line by line."""
-    at = 0
-    for line in program.delays:
-        yield _list(f"x[{n}]" for n in range(at, at + line.length))
-        at += line.length
-    for _ in program.states:
-        yield f"x[{at}]"
-        at += 1
-
-
-def _tables(program: SampleProgram) -> Iterable[str]:
-    for table in program.tables:
-        numbers = ", ".join(digits(x) for x in table.values.ravel())
-        yield f"# {comment(table.about)}"
-        yield f"{table.name} = [{numbers}]"
-
-
-def _body(
-    program: SampleProgram,
-    needed: Iterable[Value],
-    result: str,
-    unpacked: Sequence[str] = (),
-) -> str:
-    lines = [f"    {_tuple(unpacked)} = _unpack(x)"] if unpacked else []
-    lines += statements(program, needed, _SYNTAX)
-    return "\n".join([*lines, f"    return {result}"])
-
-
-def _kept(program: SampleProgram, *, measured: bool) -> str:
-    """The state that is left for the next sample."""
-    entries = []
-    for line in program.delays:
-        entries.append(_text(program, line.measured if measured else line.source))
-        entries += [f"{line.name}[{k}]" for k in range(line.length - 1)]
-    entries += [_text(program, s.source) for s in program.states]
-    return _vector(entries)
-
-
-def _text(program: SampleProgram, n: Value) -> str:
-    return value_text(program, n, _SYNTAX)
-
-
-def _vector(entries: Sequence[str]) -> str:
-    return f"ca.vertcat({', '.join(entries)})" if entries else "ca.SX(0, 1)"
-
-
-def _list(entries: Iterable[str]) -> str:
-    return f"[{', '.join(entries)}]"
-
-
-def _tuple(entries: Iterable[str]) -> str:
-    return "".join(f"{e}, " for e in entries).rstrip()
+'''),
+    syntax=_syntax,
+    own="{name}",
+    flag="{name}",
+    fresh="[0.0] * {length}",
+    filled="[{value}] * {length}",
+    entered="{line} = [{value}, *{line}[:-1]]",
+    set="{name} = {value}",
+    row="[{items}]",
+    table=_table,
+)
+"""Expressions of SX; what is kept are local names, packed into the state at the end."""
 
 
 def casadi_runner(path: Path) -> Runner:

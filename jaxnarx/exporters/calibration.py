@@ -6,14 +6,18 @@ there twice is a `DataFileError` that names the block and the line.
 
 import dataclasses
 import math
+import os
 import re
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.errors import DataFileError
+from jaxnarx.errors import DataFileError, guard_reading
 
+MAX_FILE_BYTES = 64 * 2**20
+"""Bytes of a file that are read."""
 NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -46,6 +50,17 @@ OTHER_LINES = (
 """Lines of a block that are no values."""
 AXIS_LINES = ("ST/X", "ST/Y")
 """Lines of the points of an axis."""
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """The text of a DCM file or C source, of ISO 8859-1, in which every byte is a
+    letter; DataFileError where there is none, or too much."""
+    with guard_reading(path, "a DCM file or C source"):
+        if Path(path).stat().st_size > MAX_FILE_BYTES:
+            raise DataFileError(
+                f"{path}: larger than {MAX_FILE_BYTES >> 20} MB", path=path
+            )
+        return Path(path).read_bytes().decode("iso-8859-1")
 
 
 def read_dcm(text: str, source: str) -> list[CalibrationBlock]:

@@ -12,6 +12,8 @@ import numpy as np
 from jaxnarx.exporters.form import Builder, StateValue, Value
 from jaxnarx.models import Network, largest_sizes, trusted_samples
 
+HELD_PREFIX = "held_"
+"""Names of the states that keep the last value of an input that was not missing."""
 GAP_STATE = "gap"
 """State: for how many samples in a row an input has been missing."""
 
@@ -34,7 +36,7 @@ class Entrance:
     def signal(self, signal: int) -> Value:
         """An input at this sample, or the last value that was not missing."""
         b, place = self.b, self.inputs.index(signal)
-        raw, name = b.op("input", source=place), f"held_{place}"
+        raw, name = b.op("input", source=place), f"{HELD_PREFIX}{place}"
         there = self._is_there(raw, signal)
         clean = b.op("where", there, raw, b.op("state", source=name))
         first = b.op("where", there, raw, b.const(self.middle[signal]))

@@ -1,19 +1,14 @@
 """`jaxnarx import-dcm`: changed parameters of an export, back into the model."""
 
-from pathlib import Path
-
 import numpy as np
 
-from jaxnarx.errors import DataFileError, guard_reading
-from jaxnarx.exporters import lower, read_parameters
+from jaxnarx.exporters import lower, read_parameters, read_text
 from jaxnarx.models import Network, load, load_about, save
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import ImportDcm
 from jaxnarx.shell.messages import about, count, quote_command, say
 from jaxnarx.shell.next_command import tell_next
 
-MAX_FILE_BYTES = 64 * 2**20
-"""Bytes of a file that are read."""
 MODEL_FILE = "model.safetensors"
 
 
@@ -21,7 +16,7 @@ def import_dcm(command: ImportDcm) -> int:
     """Write the model with what has changed, and say what that is."""
     before = load(command.model)
     with about(command.model):
-        after = read_parameters(before, _text(command.file), command.file)
+        after = read_parameters(before, read_text(command.file), command.file)
     for line in list_changes(before, after):
         say(line)
     if after is before:
@@ -37,16 +32,6 @@ def import_dcm(command: ImportDcm) -> int:
     say(f"wrote {here / MODEL_FILE}")
     tell_next(quote_command("jaxnarx", "report", str(here / MODEL_FILE), "DESCRIPTION"))
     return 0
-
-
-def _text(path: str) -> str:
-    """Read text of ISO 8859-1, in which every byte is a letter."""
-    with guard_reading(path, "a DCM file or C source"):
-        if Path(path).stat().st_size > MAX_FILE_BYTES:
-            raise DataFileError(
-                f"{path}: larger than {MAX_FILE_BYTES >> 20} MB", path=path
-            )
-        return Path(path).read_bytes().decode("iso-8859-1")
 
 
 def list_changes(before: Network, after: Network) -> list[str]:

@@ -67,7 +67,7 @@ def test_what_is_kept_for_missing_inputs_is_left_out():
     bare = without_gaps(program)
     assert [s.name for s in program.states] == ["held_0", "held_1", "gap"]
     assert not bare.states and len(bare.delays) == 3
-    assert bare.state_closure(bare.outputs) != program.state_closure(program.outputs)
+    assert len(bare.step) < len(program.step) - 20 and not bare.flags
 
 
 def test_acados_can_take_its_expressions(tmp_path):
