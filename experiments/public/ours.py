@@ -117,6 +117,7 @@ def finished(method: Any, row: Row, open_set: OpenSet, rows: int) -> Any:
     trained it in stretches, and now do as a whole, with more steps.
     """
     from jaxnarx.identification.cross_validate import fit_full
+    from jaxnarx.linear import drop_inactive
 
     train = open_set.train
     at = method.stages.index((row.get("regions", 1), row["pull"]))
@@ -125,7 +126,7 @@ def finished(method: Any, row: Row, open_set: OpenSet, rows: int) -> Any:
     else:
         data, method = train, dataclasses.replace(method, max_steps=FINAL)
     begin = time.perf_counter()
-    network = fit_full(method, data)[at]
+    network = drop_inactive(fit_full(method, data)[at])
     return network, round(time.perf_counter() - begin, 1)
 
 

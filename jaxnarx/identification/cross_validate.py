@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxnarx.data import Dataset, Groups, thin_records
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.identification._by_method import run_method
-from jaxnarx.linear import fit_states, refit_states
+from jaxnarx.linear import drop_inactive, fit_states, refit_states
 from jaxnarx.models import Network, hold_to_range, set_ranges
 from jaxnarx.partition import Errors
 from jaxnarx.settings import HiddenStates, Identification
@@ -114,7 +114,7 @@ def cross_validate(
             return [one.outcome(None, one.told) for one in every]
     whole = whole or fit_method(method, data, rows)
     return [
-        one.outcome(None if one.told else network, one.told)
+        one.outcome(None if one.told else drop_inactive(network), one.told)
         for one, network in zip(every, whole, strict=True)
     ]
 
@@ -250,7 +250,8 @@ def refit(
     say; None where that fails."""
     try:
         some = _thin_valid(data, rows, method.stretch)
-        one = refit_states(network, some, method, pull)
+        # Held as it is in use, it would be another program than the first training's.
+        one = refit_states(hold_to_range(network, None), some, method, pull)
     except (JaxnarxError, np.linalg.LinAlgError):
         return None
     return _hold_to_range([one], known)[0]

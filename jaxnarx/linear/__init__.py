@@ -21,6 +21,7 @@ from jaxnarx.linear.state_space.network import (
     set_state_ranges,
     state_network,
 )
+from jaxnarx.linear.state_space.regions import drop_inactive as drop_inactive
 from jaxnarx.linear.state_space.starts import linear_order
 from jaxnarx.linear.state_space.subspace import chain_model as chain_model
 from jaxnarx.linear.state_space.subspace import identify_subspace as identify_subspace

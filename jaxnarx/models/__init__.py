@@ -63,6 +63,8 @@ from jaxnarx.models.network import OutputModel as OutputModel
 from jaxnarx.models.observer import PRIOR_WEIGHT as PRIOR_WEIGHT
 from jaxnarx.models.observer import hidden_start as hidden_start
 from jaxnarx.models.observer import scales as scales
+from jaxnarx.models.observer import start_of_window as start_of_window
+from jaxnarx.models.observer import window_size as window_size
 from jaxnarx.models.observer import with_hidden_start as with_hidden_start
 from jaxnarx.models.outside import FLAG as FLAG
 from jaxnarx.models.outside import HOLD as HOLD

@@ -48,15 +48,34 @@ def hidden_start(
 
     Where nobody asks for derivatives, without `exact`, there are none.
     """
-    lags, count = depth(network), len(network.modelled)
-    size = min(lags + network.window, measured.shape[0])
+    lags = depth(network)
+    size = window_size(network, measured.shape[0])
     row = jnp.clip(start - lags, 0, measured.shape[0] - size)
 
     def cut(a, axis):
         return jax.lax.dynamic_slice_in_dim(a, row, size, axis)
 
     v, x = cut(v, 1), tuple(cut(x_o, 1) for x_o in x)
-    measured, known = cut(measured, 0), cut(known, 0)[:, :count]
+    return start_of_window(network, v, x, cut(measured, 0), cut(known, 0), exact=exact)
+
+
+def window_size(network: Network, samples: int) -> int:
+    """Samples of a window and of the history before it, in a record of so many."""
+    return min(depth(network) + network.window, samples)
+
+
+def start_of_window(
+    network: Network,
+    v: Float[Array, "vars window"],
+    x: tuple[Float[Array, "_ window"], ...],
+    measured: Float[Array, "window outputs"],
+    known: Bool[Array, "window outputs"],
+    *,
+    exact: bool = True,
+) -> tuple[Float[Array, "depth hidden"], Float[Array, " hidden"]]:
+    """`hidden_start` of a window that has been cut out, with the history before it."""
+    lags, count, size = depth(network), len(network.modelled), measured.shape[0]
+    known = known[:, :count]
     middle, sigma = scales(network)
     weight = jnp.where(known & (jnp.arange(size) >= lags)[:, None], 1.0, 0.0)
     weight = weight / sigma[None, :count]

@@ -19,7 +19,9 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.errors import SpecError
 from jaxnarx.models import (
+    FLAG,
     HOLD,
+    LINEAR,
     Network,
     collapses,
     overshoot,
@@ -81,8 +83,36 @@ def run_parts(
     """`scaled_run` on the host: outputs that do not look at one another run by
     themselves where one loop for all would evaluate every term at every sample."""
     if collapses(network):
+        return _scaled_run_on_host(network, runs)
+    return by_parts(network, runs, lambda *own: (_scaled_run_on_host(*own),))[0]
+
+
+def _scaled_run_on_host(
+    network: Network, runs: Prepared
+) -> Float[Array, "records time computed"]:
+    """`scaled_run` by two programs, of which the first, that of hidden starts, serves
+    records of any number and length; it takes longest to compile."""
+    if not network.hidden:
         return scaled_run(network, runs)
-    return by_parts(network, runs, lambda *own: (scaled_run(*own),))[0]
+    network, runs = _drop_unused_policies(network, runs)
+    anchor = jax.device_put(np.asarray(first_anchor(runs)))
+    return run(network, start_hidden(network, runs).drive, anchor)
+
+
+def _drop_unused_policies(network: Network, runs: Prepared) -> tuple[Network, Prepared]:
+    """Without what goes on beyond the trained ranges of the inputs, where none of them
+    leaves its own, and without limits of what is reported: the same run, by the program
+    that the training of the network has used."""
+    network = dataclasses.replace(network, hold=None)
+    v, own = np.asarray(runs.drive.v), 1 + len(network.variables)
+    at = np.arange(v.shape[2])[None]
+    start, end = (np.asarray(a)[:, None] for a in (runs.start, runs.end))
+    counted = (at >= start) & (at < end)
+    if network.outside != LINEAR or np.any(v[:, own:] * counted[:, None]):
+        return network, runs
+    drive = dataclasses.replace(runs.drive, v=jax.device_put(v[:, :own]))
+    runs = dataclasses.replace(runs, drive=drive, origin=None)
+    return dataclasses.replace(network, outside=FLAG), runs
 
 
 def predict_parts(

@@ -81,9 +81,10 @@ def fit_states(
 
     Returns:
         `value` is the network of the last of `method.stages`, `stats["path"]` that of
-        every one, `stats["start"]` names the linear model it began from. Statuses are
-        those of `refine` for the last one. `DataError` where no start can be made:
-        records too short for so many states, say.
+        every one (each with places for `method.regions` local models, so that the same
+        programs train and run it), `stats["start"]` names the linear model it began
+        from. Statuses are those of `refine` for the last one. `DataError` where no
+        start can be made: records too short for so many states, say.
 
     Example:
         fit = jnx.linear.fit_states(data, jnx.linear.HiddenStates(states=1, degree=1))
@@ -118,12 +119,13 @@ def fit_states(
         ends = [_train_on(s, data, method, shrink, progress) for s in ends]
         if len(path) + 1 == len(method.shrink) and regions == 2:
             _require_hope(ends, hopeless)  # first steps of a division tell little
-        path.append(drop_inactive(min(ends, key=_training_error).ranged))
+        path.append(min(ends, key=_training_error).ranged)
         if shrink == method.shrink[0]:
             starts = ends
     best = min(ends, key=_training_error)
     stats = {"path": path, "start": best.name, "starts": errors}
-    return Solution(path[-1], best.fit.status, best.fit.stats | stats, best.fit.detail)
+    network = drop_inactive(path[-1])
+    return Solution(network, best.fit.status, best.fit.stats | stats, best.fit.detail)
 
 
 @guard_arguments
