@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
+from jax.core import Tracer
 
 R = TypeVar("R")
 
@@ -23,7 +24,18 @@ MAX_MAP_SHARE = 0.6
 """Share of the memory maps that may be in use."""
 PROGRAMS_BETWEEN_CHECKS = 50
 """New programs between looks at their number."""
+QUICK_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+"""The compiler's former generator of code for the CPU. A network of hidden states and
+its training were compiled in 9 s, not in 15; runs of polynomials take a fifth longer,
+loops as long (jax 0.10)."""
+MOST_QUICK_ENTRIES = 200_000
+"""Entries of all arrays of a program up to which compilation takes longer than what it
+saves: some 10,000 samples of 20 columns."""
+OPTIONS_WITHIN, UNKNOWN_OPTION = "`compiler_options`", "No such compile option"
+"""What jax says of options of a program within another, and of one that is unknown."""
 _made = itertools.count(1)
+_knows_options = [True]
+"""Empty where the compiler does not know `QUICK_OPTIONS`."""
 
 
 def program(function: Callable[..., R]) -> Callable[..., R]:
@@ -54,19 +66,47 @@ def bind(function: Callable[..., R], *args: Any, **kwargs: Any) -> Callable[...,
     pairs = list(zip(leaves, flags, strict=True))
     static = tuple(ARRAY_MARK if flag else leaf for leaf, flag in pairs)
     # 1, 1.0 and True are equal, but make different programs.
-    compiled = _compile(function, tree, static, tuple(map(type, static)))
-    return functools.partial(compiled, [leaf for leaf, flag in pairs if flag])
+    asked = function, tree, static, tuple(map(type, static))
+    arrays = [leaf for leaf, flag in pairs if flag]
+    if _knows_options and _is_small(arrays):
+        return functools.partial(_run_quickly, asked, arrays)
+    return functools.partial(_compile(*asked), arrays)
+
+
+def _run_quickly(asked: tuple, arrays: list, *more: Any) -> Any:
+    """A small program, compiled quickly: not one within another, which cannot have
+    options of its own, and not by a compiler that does not know them."""
+    try:
+        return _compile(*asked, quick=True)(arrays, *more)
+    except (ValueError, jax.errors.JaxRuntimeError) as error:
+        if UNKNOWN_OPTION in str(error):
+            _knows_options.clear()
+        elif OPTIONS_WITHIN not in str(error):
+            raise
+        return _compile(*asked)(arrays, *more)
+
+
+def _is_small(arrays: list) -> bool:
+    """Whether no array is traced, and all together are small."""
+    entries = 0
+    for array in arrays:
+        if isinstance(array, Tracer):
+            return False
+        entries += array.size
+    return entries <= MOST_QUICK_ENTRIES
 
 
 @functools.lru_cache(maxsize=4096)
-def _compile(function: Callable, tree: Any, static: tuple, kinds: tuple) -> Callable:
+def _compile(
+    function: Callable, tree: Any, static: tuple, kinds: tuple, *, quick: bool = False
+) -> Callable:
     """The program of a function whose arrays are arguments, in one list."""
     del kinds
     if next(_made) % PROGRAMS_BETWEEN_CHECKS == 0 and is_crowded():
         _compile.cache_clear()
         jax.clear_caches()
 
-    @jax.jit
+    @functools.partial(jax.jit, compiler_options=QUICK_OPTIONS if quick else None)
     @functools.wraps(function, updated=())
     def run(arrays: list, *more: Any):
         given = iter(arrays)
