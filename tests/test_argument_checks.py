@@ -26,7 +26,7 @@ ROOMS = {
 INNER = {
     f"design.{name}"
     for name in ("asked_samples", "limits_for", "make_view", "plan_by", "rest_run")
-}
+} | {"linear.drop_inactive"}
 """Functions that a room has at its door for other rooms, not for users."""
 
 VERBS = {n: v for n in jnx.__all__ if inspect.isfunction(v := getattr(jnx, n))} | {

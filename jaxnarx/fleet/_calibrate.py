@@ -21,7 +21,6 @@ from jaxnarx.fleet.member import find_member, know_member, prepare_member
 from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.fleet.rivals import (
     KINDS,
-    at_samples,
     choose,
     estimate_each,
     judge_by_blocks,
@@ -161,7 +160,7 @@ class _Estimate:
         colour = np.asarray(prior.population.colour)
         rivals = prior.rivals
         samples = np.asarray(total.samples)
-        donors = at_samples(prior.rungs, prior.ladder, float(samples.max()))
+        donors = prior.foretell(np.asarray(total.gram), float(samples.max()))
         if blocks > 1:
             own = judge_by_blocks(rivals, sums, zero, noise, blocks)
             own[rivals.kinds.index("as is")] = before / np.maximum(samples, 1.0)
@@ -278,7 +277,7 @@ def _with_intervals(prior: FleetPrior, value: Network, found: _Estimate) -> Netw
     if errors is None:
         return value
     samples = float(np.asarray(found.sums.samples).max())
-    table = at_samples(prior.rungs, prior.ladder, samples)
+    table = prior.foretell(np.asarray(found.sums.gram), samples)
     own = table[found.way, np.arange(len(found.way))]
     wider = np.maximum(own - np.log(prior.left / prior.output_spread), 0.0) / 2
     constant = np.asarray(errors.constant) + wider

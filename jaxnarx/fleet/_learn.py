@@ -163,7 +163,10 @@ def _finish(
         found.population.noise,
         jnp.asarray(colour),
     )
-    ladder = calibrate_donors(dataclasses.replace(work, own=own), fitted, centred)
+    typical = _typical_gram(found, fitted.sums)
+    left = np.exp(_measure_left(found, fitted.sums))
+    work = dataclasses.replace(work, own=own)
+    ladder = calibrate_donors(work, fitted, centred, typical, left)
     remark = tuple(fitted.remark.get(n, "") for n in work.names)
     return FleetPrior(
         network,
@@ -177,7 +180,10 @@ def _finish(
         remark,
         ladder.rungs,
         ladder.errors,
-        np.exp(_measure_left(found, fitted.sums)),
+        left,
+        expected_before=ladder.expected,
+        slope=ladder.slope,
+        typical=typical,
         counts=ladder.counts,
         by_count=ladder.by_count,
         linear=fitted.linear,
@@ -224,6 +230,17 @@ def _with_domain(
     groups = engine_groups(together, INTERVAL_GROUPS)
     known = groups if len(groups) > 1 else None
     return fit_error_model(network, together, groups=known, run=join_runs(runs))
+
+
+def _typical_gram(
+    found: Screened, sums: Pass
+) -> Float[np.ndarray, "outputs params params"]:
+    """Mean square of what the coefficients move, over all samples of the donors."""
+    gram, samples = 0.0, 0.0
+    for one, _, weight in sums.chunks(found.used.astype(float)):
+        gram = gram + np.einsum("n,nopq->opq", weight, np.asarray(one.gram))
+        samples = samples + weight @ np.asarray(one.samples)
+    return gram / np.maximum(samples, 1.0)[:, None, None]
 
 
 def _measure_left(found: Screened, sums: Pass) -> Float[np.ndarray, " outputs"]:

@@ -17,7 +17,7 @@ from jaxnarx.fleet.population import (
     root_of,
 )
 from jaxnarx.fleet.prior import rivals_of
-from jaxnarx.fleet.rivals import judge_by_samples
+from jaxnarx.fleet.rivals import expect_errors, judge_by_samples
 from jaxnarx.simulation import Prepared
 
 JUDGED_DONORS = 128
@@ -33,6 +33,8 @@ COUNTS = 8, 16, 32, 64, 128
 """Donors that calibrate some others: what more of them bring."""
 RUNG_STEPS = 15
 """Runs at most, of every rung, where they are not linear in the coefficients."""
+LEARNT = "offset and gain", "prior"
+"""Ways that go out from what others have told."""
 FOLD_STEPS = 10
 """Steps of the EM algorithm without a part, from those with all."""
 
@@ -41,18 +43,27 @@ FOLD_STEPS = 10
 class Ladder:
     """What donors that others calibrate tell: logarithms of squared errors over the
     variance of the output, by samples and ways, from all other donors and from so many
-    (`counts`) of them."""
+    (`counts`) of them; `expected` are the logarithms of the squared errors that their
+    samples let expect, and `slope` says by how much theirs are larger where these
+    are."""
 
     rungs: tuple[int, ...]
     errors: Float[np.ndarray, "rungs ways outputs"]
+    expected: Float[np.ndarray, "rungs ways outputs"]
+    slope: Float[np.ndarray, " outputs"]
     counts: tuple[int, ...]
     by_count: Float[np.ndarray, "counts rungs ways outputs"]
 
 
 def calibrate_donors(
-    work: DonorWork, fitted: FittedDonors, population: Population
+    work: DonorWork,
+    fitted: FittedDonors,
+    population: Population,
+    typical: Float[np.ndarray, "outputs params params"],
+    left: Float[np.ndarray, " outputs"],
 ) -> Ladder:
-    """Errors of donors that are calibrated by the others, rung by rung."""
+    """Errors of donors that are calibrated by the others, rung by rung; over samples
+    like `typical` ones, of which own coefficients leave `left`, see `expect_errors`."""
     found = fitted.screened
     used = np.flatnonzero(found.used)
     judged = used[:: max(1, len(used) // JUDGED_DONORS)][:JUDGED_DONORS]
@@ -78,20 +89,22 @@ def calibrate_donors(
                 _sums_of(work, prepared[n], int(begins[n] * usual), rungs, drawn)
                 for n in range(fold, len(judged), parts)
             ]
-            rows += _errors(work, of_fold, others)
+            others = dataclasses.replace(others, colour=population.colour)
+            rows += _errors(work, of_fold, others, typical, left)
             each = each or of_fold
     ways = len(rivals_of(work.own, population))
-    shape = len(rungs), ways, work.shape.outputs
-    errors = _mean(rows, shape)
+    shape = 2, len(rungs), ways, work.shape.outputs
+    errors, expected = _mean(rows, shape)
+    slope = _slope(rows, rivals_of(work.own, population).kinds, shape[-1])
     rest = np.setdiff1d(used, judged[::parts])
     counts = tuple(n for n in COUNTS if n <= len(rest))
-    by_count = np.zeros((len(counts), *shape))
+    by_count = np.zeros((len(counts), *shape[1:]))
     for row, n in zip(by_count, counts, strict=True):
         few = _few(fitted, rest[:n])
         centre = few.mean - found.population.mean
         few = dataclasses.replace(few, mean=centre)
-        row[:] = _mean(_errors(work, each, few), shape)
-    return Ladder(rungs, errors, counts, by_count)
+        row[:] = _mean(_errors(work, each, few, typical, left), shape)[0]
+    return Ladder(rungs, errors, expected, slope, counts, by_count)
 
 
 def _few(fitted: FittedDonors, donors: Int[np.ndarray, " some"]) -> Population:
@@ -109,6 +122,21 @@ def _mean(rows: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
     """The mean over donors that tell; zero where none does."""
     rows = [row for row in rows if np.all(np.isfinite(row))]
     return np.mean(rows, axis=0) if rows else np.zeros(shape)
+
+
+def _slope(
+    rows: list[np.ndarray], kinds: Sequence[str], outputs: int
+) -> Float[np.ndarray, " outputs"]:
+    """Slope of the errors of donors by what was expected of them, all rungs and ways
+    that learn from others together, from 0 to 1; 0 where nothing tells."""
+    rows = [row for row in rows if np.all(np.isfinite(row))]
+    if len(rows) < 2:
+        return np.zeros(outputs)
+    learnt = [n for n, kind in enumerate(kinds) if kind in LEARNT]
+    apart = np.array(rows)[:, :, :, learnt]
+    error, expected = np.moveaxis(apart - apart.mean(axis=0), 1, 0)
+    both, alone = ((expected * a).sum(axis=(0, 1, 2)) for a in (error, expected))
+    return np.clip(both / np.where(alone > 0, alone, 1.0), 0.0, 1.0)
 
 
 def _climb_from(others: Population, population: Population) -> Climb:
@@ -156,10 +184,14 @@ def _sums_of(
 
 
 def _errors(
-    work: DonorWork, judged: Sequence[_Judged], others: Population
-) -> list[Float[np.ndarray, "rungs ways outputs"]]:
-    """Logarithms of squared errors over the variance, of donors that others calibrate;
-    those without all the samples are left out."""
+    work: DonorWork,
+    judged: Sequence[_Judged],
+    others: Population,
+    typical: Float[np.ndarray, "outputs params params"],
+    left: Float[np.ndarray, " outputs"],
+) -> list[Float[np.ndarray, "2 rungs ways outputs"]]:
+    """Logarithms of squared errors, of donors that others calibrate, over the variance,
+    and of what is expected; those without all the samples are left out."""
     ways, noise = rivals_of(work.own, others), np.asarray(others.noise)
     zero, rows = np.zeros(work.shape.params), []
     for one in judged:
@@ -169,5 +201,13 @@ def _errors(
             error = np.stack([e[rung] for rung, e in enumerate(found)])
             count = np.asarray(one.sums[0].samples)[-1]
             error[:, ways.kinds.index("as is")] = one.as_is / count
-            rows.append(np.log(np.maximum(error / one.spread, 1e-12)))
+            grams = [np.asarray(s.gram)[: n + 1] for n, s in enumerate(one.sums)]
+            expected = np.stack(
+                [
+                    expect_errors(ways, gram.sum(axis=0), others, typical, left)
+                    for gram in grams
+                ]
+            )
+            pair = np.stack([error / one.spread, expected])
+            rows.append(np.log(np.maximum(pair, 1e-12)))
     return rows

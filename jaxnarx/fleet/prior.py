@@ -23,12 +23,12 @@ from jaxnarx.fleet.coefficients import (
     offset_and_gain,
 )
 from jaxnarx.fleet.population import Population
-from jaxnarx.fleet.rivals import KINDS, Rivals, make_rivals
+from jaxnarx.fleet.rivals import KINDS, Rivals, at_samples, expect_errors, make_rivals
 from jaxnarx.formatting import align_columns, brief, count, page, some
 from jaxnarx.models import Network, load, save
 
-FORMAT = 1
-"""Format of the file."""
+FORMAT = 2
+"""Format of the file; 2: with errors that the samples of donors let expect."""
 NETWORK_FILE, ARRAYS_FILE, HEADER_FILE = (
     "network.safetensors",
     "arrays.npz",
@@ -37,6 +37,7 @@ NETWORK_FILE, ARRAYS_FILE, HEADER_FILE = (
 ARRAYS = (
     *("mean", "covariance", "noise", "colour", "scale", "estimate", "distance"),
     *("freedom", "used", "ladder", "left", "output_spread", "by_count", "alone"),
+    *("expected_before", "slope", "typical"),
 )
 
 
@@ -50,6 +51,9 @@ class FleetPrior:
     whether it was `used`, and a `remark` where it was not. `ladder` holds the mean
     logarithm of the squared error, over the variance of the output, of donors that were
     calibrated by the others from `rungs` samples, by all ways of `rivals`.
+    `expected_before` is the mean logarithm of the squared error that their samples let
+    expect, over samples of the mean square `typical` of what coefficients move; where
+    it is larger, errors are by `slope`.
     `by_count` is the same by donors of which there are only so many (`counts`), and
     `alone` are coefficients of donors by their own samples, without the others.
     `linear` says whether runs are linear in the coefficients that differ.
@@ -74,6 +78,9 @@ class FleetPrior:
     counts: tuple[int, ...]
     by_count: Float[np.ndarray, "counts rungs ways outputs"]
     alone: Float[np.ndarray, "donors params"]
+    expected_before: Float[np.ndarray, "rungs ways outputs"]
+    slope: Float[np.ndarray, " outputs"]
+    typical: Float[np.ndarray, "outputs params params"]
     linear: bool = True
     warm_up: int = 0
     gates: bool = False
@@ -111,6 +118,20 @@ class FleetPrior:
     def rivals(self) -> Rivals:
         """The ways to calibrate an engine; made once."""
         return rivals_of(self.coefficients, self.population)
+
+    def foretell(
+        self, gram: Float[np.ndarray, "outputs params params"], samples: float | int
+    ) -> Float[np.ndarray, "ways outputs"]:
+        """Logarithms of squared errors, over the variance of the output, of a new
+        engine calibrated by so many samples of this `gram`, by every way: those of the
+        donors, and more where these samples tell less than theirs."""
+        given = self.population, self.typical, self.left
+        expected = np.log(expect_errors(self.rivals, gram, *given))
+        usual, before = (
+            at_samples(self.rungs, table, samples)
+            for table in (self.ladder, self.expected_before)
+        )
+        return usual + self.slope * (expected - before)
 
     def expected(self, output: int = 0) -> dict[str, Float[np.ndarray, " rungs"]]:
         """NRMSE by samples of a donor that the others calibrate, by kind: root mean
@@ -172,6 +193,9 @@ def save_prior(prior: FleetPrior, path: str | os.PathLike[str]) -> None:
         "output_spread": prior.output_spread,
         "by_count": prior.by_count,
         "alone": prior.alone,
+        "expected_before": prior.expected_before,
+        "slope": prior.slope,
+        "typical": prior.typical,
     }
     header = {
         "format": FORMAT,
@@ -265,6 +289,9 @@ def _restore(
         tuple(int(n) for n in header["counts"]),
         arrays["by_count"],
         arrays["alone"],
+        arrays["expected_before"],
+        arrays["slope"],
+        arrays["typical"],
         bool(header["linear"]),
         int(header["warm_up"]),
         gates,

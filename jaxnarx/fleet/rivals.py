@@ -7,8 +7,10 @@ and by how much is tried. `own fit`: least squares of the new samples alone, wit
 ridge.
 
 Which one serves is learnt from the donors: each is calibrated by a population without
-it from 10, 20, 50 ... samples in a row and judged on its last ones. All of that is
-algebra on the sums of `information`.
+it from 10, 20, 50 ... samples in a row and judged on its last ones. A stretch of
+samples may tell more or less than theirs did, of a gain nothing where all inputs rest,
+say: how much is computed for every way (`expect_errors`), and counts as far as the
+donors' errors went along with it. All of it is algebra on the sums of `information`.
 """
 
 import dataclasses
@@ -97,6 +99,39 @@ def estimate_each(
 def _by_all(rivals: Rivals, information: Information, at, noise) -> np.ndarray:
     given = rivals.weight, rivals.mean, rivals.root
     return estimate_each(information, at, 1.0 / noise, *given)
+
+
+def expect_errors(
+    rivals: Rivals,
+    gram: Float[np.ndarray, "outputs params params"],
+    population: Population,
+    typical: Float[np.ndarray, "outputs params params"],
+    left: Float[np.ndarray, " outputs"],
+) -> Float[np.ndarray, "ways outputs"]:
+    """Squared errors that engines drawn from the population have, calibrated by samples
+    of this `gram` by every way.
+
+    With a way's mean m and root R, the sums G = sum_o gram_o / noise_o and
+    B = w R (I + w R' G R)^-1 R', an engine v from the population is estimated with the
+    error (I - B G)(v - m) - B n, where the noise n has the covariance G times the
+    residuals' colour. Errors count over samples of the `typical` mean square, in which
+    an engine's own coefficients leave `left`.
+    """
+    noise, colour = (np.asarray(a) for a in (population.noise, population.colour))
+    mean, cov = (np.asarray(a) for a in (population.mean, population.covariance))
+    each = gram / noise[:, None, None]
+    known, noisy = each.sum(axis=0), np.einsum("o,opq->pq", colour, each)
+    found = np.empty((len(rivals), len(left)))
+    for n, (w, m, r) in enumerate(
+        zip(rivals.weight, rivals.mean, rivals.root, strict=True)
+    ):
+        inner = np.eye(r.shape[1]) + w * (r.T @ known @ r)
+        gain = w * r @ np.linalg.solve(inner, r.T)
+        rest = np.eye(len(mean)) - gain @ known
+        apart = cov + np.outer(mean - m, mean - m)
+        error = rest @ apart @ rest.T + gain @ noisy @ gain.T
+        found[n] = np.einsum("opq,qp->o", typical, error)
+    return found + left[None]
 
 
 def judge_by_samples(

@@ -14,6 +14,7 @@ from jaxnarx.fleet.population import (
     posterior,
     root_of,
 )
+from jaxnarx.fleet.rivals import estimate_each, expect_errors, make_rivals
 
 PARAMS, ENGINES, SAMPLES = 3, 40, 30
 
@@ -164,3 +165,50 @@ def test_fleet_is_learnt():
     assert value[2] < 0.2 * value[1]
     assert len(donors()) == len(prior.donors)
     assert MEAN.shape[0] == ROOT.shape[0] == len(prior.names)
+
+
+def test_errors_to_be_expected_are_those_of_drawn_engines():
+    # A Monte Carlo oracle: engines and noise drawn, calibrated, and judged.
+    random = np.random.default_rng(4)
+    mean, root = np.array([0.3, -0.2]), np.array([[0.5, 0.0], [0.2, 0.3]])
+    x, other = random.normal(size=(6, 2)), random.normal(size=(200, 2))
+    noise, left, colour = 0.04, 0.01, 1.0
+    given = (mean, root @ root.T, [noise], [colour])
+    population = Population(*map(jnp.asarray, given))
+    ways = make_rivals(population, np.array([[1.0], [1.0]]), np.zeros(2))
+    gram = (x.T @ x)[None]
+    typical = (other.T @ other)[None] / len(other)
+    found = expect_errors(ways, gram, population, typical, np.array([left]))[:, 0]
+    engines = mean + random.normal(size=(4000, 2)) @ root.T
+    y = engines @ x.T + random.normal(size=(4000, len(x))) * noise**0.5
+    one = Information(
+        np.zeros((4000, 1)),
+        -(y @ x)[:, None],  # about zero
+        np.tile(gram, (4000, 1, 1, 1)),
+        np.full((4000, 1), 6.0),
+    )
+    given = ways.weight, ways.mean, ways.root
+    v = estimate_each(one, np.zeros(2), 1 / np.array([noise]), *given)
+    apart = v - engines[:, None]
+    errors = np.einsum("ewp,pq,ewq->w", apart, typical[0], apart) / len(engines)
+    np.testing.assert_allclose(found, errors + left, rtol=0.08)
+
+
+def test_a_gain_that_samples_do_not_tell_is_expected_to_be_wrong():
+    # Two coefficients, of an offset and of an input that rests at 1 or moves.
+    given = (np.zeros(2), np.diag([1.0, 0.01]), [0.01], [5.0])
+    population = Population(*map(jnp.asarray, given))
+    ways = make_rivals(population, np.eye(2), np.array([-1.0, -1.0]))
+    moves, rests = (
+        np.stack([np.ones(20), u]) for u in (np.linspace(-2, 2, 20), np.full(20, 1.0))
+    )
+    typical, left = np.eye(2)[None], np.array([0.001])
+    found = {}
+    for name, x in (("moves", moves), ("rests", rests)):
+        errors = expect_errors(ways, (x @ x.T)[None], population, typical, left)[:, 0]
+        kinds = np.array(ways.kinds)
+        found[name] = {kind: errors[kinds == kind].min() for kind in set(ways.kinds)}
+    by_hand = {name: one["offset and gain"] for name, one in found.items()}
+    learnt = {name: one["prior"] for name, one in found.items()}
+    assert by_hand["moves"] < 2 * learnt["moves"]
+    assert by_hand["rests"] > 10 * learnt["rests"]
