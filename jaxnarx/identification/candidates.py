@@ -18,11 +18,11 @@ from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.narx_candidates import propose_narx
 from jaxnarx.identification.nested import (
     Remake,
+    Retraining,
     errors_of_fold,
     judge_nested,
     remake_mean,
     repeat_closed_form,
-    retrain,
 )
 from jaxnarx.identification.state_space_candidates import (
     LONG_RECORDS,
@@ -331,10 +331,9 @@ class CandidateSearch:
             if n >= patience and not promising:
                 return
             self.passed += 1
+            anew = Retraining(method, self._most_rows(method))
             for stage, name in enumerate(names):
-                again = functools.partial(
-                    retrain, method, stage, self._most_rows(method)
-                )
+                again = functools.partial(anew.run, stage)
                 self.remakes[_title(family, name)] = again
             rows = [self.known.get((family, name)) for name in names]
             first = rows[0]

@@ -124,14 +124,22 @@ def repeat_closed_form(
     return fold.run(hold_to_range(found.network()))
 
 
-def retrain(
-    method: Identification | HiddenStates, stage: int, rows: int, fold: OuterFold
-) -> tuple[Errors, int]:
-    """A candidate that is trained step by step, on up to `rows` samples, from its
-    start."""
-    hidden = isinstance(method, HiddenStates)
-    data = fold.apart if hidden else fold.train
-    return fold.run(fit_method(method, data, rows, known=fold.train)[stage])
+class Retraining:
+    """Candidates of a method that is trained step by step, on up to `rows` samples,
+    from its start: once without every group, for all of them."""
+
+    def __init__(self, method: Identification | HiddenStates, rows: int):
+        self.method, self.rows = method, rows
+        self.networks: dict[int, list[Network]] = {}
+
+    def run(self, stage: int, fold: OuterFold) -> tuple[Errors, int]:
+        """The candidate of a stage."""
+        if fold.g not in self.networks:
+            hidden = isinstance(self.method, HiddenStates)
+            data = fold.apart if hidden else fold.train
+            found = fit_method(self.method, data, self.rows, known=fold.train)
+            self.networks[fold.g] = found
+        return fold.run(self.networks[fold.g][stage])
 
 
 def errors_of_fold(left: Sequence[Errors], fold: OuterFold) -> tuple[Errors, int]:

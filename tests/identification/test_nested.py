@@ -10,15 +10,16 @@ from search_problems import plant
 import jaxnarx as jnx
 from jaxnarx.data import Groups, groups
 from jaxnarx.errors import DataError
+from jaxnarx.identification import nested
 from jaxnarx.identification.cross_validate import cross_validate
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.identification.narx_candidates import propose_narx
 from jaxnarx.identification.nested import (
+    Retraining,
     errors_of_fold,
     judge_nested,
     remake_mean,
     repeat_closed_form,
-    retrain,
 )
 from jaxnarx.models import hold_to_range
 from jaxnarx.partition import ClosedSearch, ClosedStructure, profile_data
@@ -137,7 +138,7 @@ def test_a_mean_is_that_of_candidates_made_again(data, seen):
     assert kept.nested_groups == pytest.approx((0, 1, 2, 3))
 
 
-def test_what_is_made_again_knows_its_structure_alone(data, seen):
+def test_what_is_made_again_knows_its_structure_alone(data, seen, monkeypatch):
     """A closed form, and a method with the rows of its fold."""
     again = functools.partial(
         repeat_closed_form, "OE", ClosedStructure(order=1), False, {}
@@ -147,9 +148,13 @@ def test_what_is_made_again_knows_its_structure_alone(data, seen):
     assert row == one
     method = next(m for _, _, m in propose_narx(data, seen))
     plain = dataclasses.replace(method, refine=None)
-    row = judge_nested(
-        ROW, functools.partial(retrain, plain, 0, 10_000), data, groups(data), seen, 1.0
-    )
+    anew, known = Retraining(plain, 10_000), groups(data)
+    again = functools.partial(anew.run, 0)
+    row = judge_nested(ROW, again, data, known, seen, 1.0)
+    # What it has trained serves its other candidates too.
+    assert sorted(anew.networks) == list(range(len(known)))
+    monkeypatch.setattr(nested, "fit_method", None)
+    assert judge_nested(ROW, again, data, known, seen, 1.0) == row
     left = cross_validate(plain, data, groups(data), 1.0, one_step=False)[0]
     # Its terms are chosen there too; inputs that lags begin at are those of all here.
     assert row.nested == pytest.approx(
