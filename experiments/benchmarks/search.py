@@ -4,8 +4,10 @@ Every part is a fresh process (the fourth is two):
 
     quick        `identify(data, preset="quick")` of 10,000 samples of a virtual engine,
                  one output: no program compiled before, and again.
-    short        the same of 600 to 10,000 samples of a bed with two inputs, no program
-                 compiled before: processor seconds, which the preset bounds by counts.
+    short        the same of 600 to 10,000 samples of a bed with two inputs: processor
+                 seconds with no program compiled before, and again.
+    one_input    `identify(data, preset="good")` of 1,000 samples of a bed with one
+                 input, no program compiled before.
     engine       one output of `gengine1` (248,000 samples) by `quick` and by `good`, no
                  program compiled before; memory of the process and all that it starts.
                  With `--peers PYTHON` the same records by histogram gradient boosting
@@ -38,21 +40,24 @@ from typing import Any
 from common import benchmark_parser, record, results_folder, target, worker
 from search_workers import OUTPUT, SMALL, WORKERS
 
-PARTS = ("quick", "short", "equations", "candidates", "engine")
+PARTS = ("quick", "short", "one_input", "equations", "candidates", "engine")
 BED = "pfi-dyno"
 TWO_INPUTS, SHORT, THREE = "pfi-cc", (600, 2_000, 10_000), 3
 """A bed, samples of all records together, and how many these are."""
+ONE_INPUT, THOUSAND = "pfi", 1_000
+"""A bed and the samples of its two records together."""
 RECORDS, LENGTH, FEW = 4, 2500, 500
 """Records of the virtual engine, samples of each, and where candidates are counted."""
 SAMPLES, COLUMNS, HUNDRED = 248_000, 400, 100
 SMOKED = 4
 """Candidates of every search of a smoke run."""
-PROCESSOR = 60.0
-"""Aim: processor seconds of `quick` on two inputs with nothing compiled."""
-QUICK, ENGINE, MEGABYTES = 60.0, {"quick": 180.0, "good": 480.0}, 4000.0
+COLD, WARM, GOOD = {600: 20.0, 10_000: 40.0}, {600: 10.0}, 120.0
+"""Aims: processor seconds of `quick` on so many samples of two inputs with nothing
+compiled and with everything, and of `good` on one input with nothing."""
+QUICK, ENGINE, MEGABYTES = 40.0, {"quick": 90.0, "good": 360.0}, 2000.0
 HALF, CANDIDATES = 0.5, 180.0
-"""Aims: seconds of `quick`, of both presets and memory on the engine, share of the
-matrix product rate, seconds of a hundred candidates."""
+"""Aims: processor seconds of `quick`, of both presets and memory on the engine, share
+of the matrix product rate, seconds of a hundred candidates."""
 FROLS_SAMPLES = 10_000, 250_000
 """Samples that FROLS is given: as for the open sets, and all of them as it comes."""
 LIMIT = 3600.0
@@ -121,20 +126,31 @@ def quick(chosen: Any, space: Path) -> dict[str, Any]:
     found: dict[str, Any] = {"engine": BED}
     for name in ("cold", "warm"):
         run = call("identify", BED, sizes, preset, cache, *limited(chosen))
-        found[name] = run | aim(run, "seconds", QUICK)
+        found[name] = run | aim(run, "processor_s", QUICK)
     return found
 
 
 def short(chosen: Any, space: Path) -> dict[str, Any]:
-    """Processor seconds of `quick` with nothing compiled."""
+    """Processor seconds of `quick`, with an empty folder of programs and a full one."""
     found: dict[str, Any] = {"engine": TWO_INPUTS}
     for samples in SHORT[:1] if chosen.smoke else SHORT:
         cache, preset = str(space / str(samples)), "linear" if chosen.smoke else "quick"
         sizes = [THREE, samples // THREE]
-        run = call("identify", TWO_INPUTS, sizes, preset, cache, *limited(chosen))
-        found[f"{samples} samples"] = run | aim(run, "processor_s", PROCESSOR)
-        print(samples, json.dumps(run), flush=True)
+        for name, limits in (("cold", COLD), ("warm", WARM)):
+            run = call("identify", TWO_INPUTS, sizes, preset, cache, *limited(chosen))
+            if samples in limits:
+                run |= aim(run, "processor_s", limits[samples])
+            found[f"{samples} samples, {name}"] = run
+            print(samples, name, json.dumps(run), flush=True)
     return found
+
+
+def one_input(chosen: Any, space: Path) -> dict[str, Any]:
+    """`good` with nothing compiled."""
+    sizes = [2, SMALL if chosen.smoke else THOUSAND // 2]
+    preset, cache = "linear" if chosen.smoke else "good", str(space / "one")
+    run = call("identify", ONE_INPUT, sizes, preset, cache, *limited(chosen))
+    return {"engine": ONE_INPUT} | run | aim(run, "processor_s", GOOD)
 
 
 def limited(chosen: Any) -> tuple[bool, int | None]:
@@ -153,7 +169,7 @@ def engine(chosen: Any, space: Path) -> dict[str, Any]:
         name = "linear" if chosen.smoke else preset
         cache = str(space / name)
         run = call("identify", "gengine1", [], name, cache, *limited(chosen))
-        found[preset] = run | aim(run, "seconds", limit)
+        found[preset] = run | aim(run, "processor_s", limit)
         if "peak_mb" in run:
             found[preset]["peak_mb_aim"] = target(run["peak_mb"], MEGABYTES)
         print(preset, json.dumps(found[preset]), flush=True)
@@ -252,7 +268,8 @@ def main() -> int:
         print(json.dumps(WORKERS[name](*json.loads(arguments))))
         return 0
     figures: dict[str, Any] = {"output of gengine1": OUTPUT}
-    measures = {f.__name__: f for f in (quick, short, equations, candidates, engine)}
+    every = quick, short, one_input, equations, candidates, engine
+    measures = {f.__name__: f for f in every}
     folder = results_folder(chosen.results, smoke=chosen.smoke)
     # Some parts are recorded apart: a record is that of one run.
     name = "_".join(["search", *(chosen.only or ())])

@@ -8,9 +8,9 @@ ridge.
 
 Which one serves is learnt from the donors: each is calibrated by a population without
 it from 10, 20, 50 ... samples in a row and judged on its last ones. A stretch of
-samples may tell more or less than theirs did, of a gain nothing where all inputs rest,
-say: how much is computed for every way (`expect_errors`), and counts as far as the
-donors' errors went along with it. All of it is algebra on the sums of `information`.
+samples may tell less than theirs did, of a gain nothing where all inputs rest, say: how
+much is computed for every way (`expect_errors`), and counts as far as the donors'
+errors went along with it. All of it is algebra on the sums of `information`.
 """
 
 import dataclasses

@@ -98,9 +98,12 @@ def normal_equations(
         by_start = layout.initial.direct(fold_slopes(network, a), own, time, record)
         return tangents.at[..., at:].add(by_start)
 
+    scored = len(network.modelled)  # hidden channels are measured by nobody
+
     def consume(carry, s, block):
         gradient, products = carry
-        root, error, bend = block
+        root, error, bend = (part[..., :scored] for part in block)
+        s = s[:, :, :scored]
         # Unscored stretches may be unstable: what overflows there must not count.
         jacobian = jnp.where(root[..., None] > 0, s * (root * bend)[..., None], 0.0)
         jacobian = jacobian.reshape(-1, params) * slope[None]
