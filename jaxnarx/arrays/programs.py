@@ -28,9 +28,9 @@ QUICK_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
 """The compiler's former generator of code for the CPU. A network of hidden states and
 its training were compiled in 9 s, not in 15; runs of polynomials take a fifth longer,
 loops as long (jax 0.10)."""
-MOST_QUICK_ENTRIES = 200_000
+MOST_QUICK_ENTRIES = 500_000
 """Entries of all arrays of a program up to which compilation takes longer than what it
-saves: some 10,000 samples of 20 columns."""
+saves: some 10,000 samples of 50 columns."""
 OPTIONS_WITHIN, UNKNOWN_OPTION = "`compiler_options`", "No such compile option"
 """What jax says of options of a program within another, and of one that is unknown."""
 _made = itertools.count(1)

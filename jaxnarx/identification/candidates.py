@@ -230,8 +230,7 @@ class CandidateSearch:
         hidden = propose_state_space(self.data, self.profile.output, self.preset)
         # Of short records one takes seconds, and the next may be the first to run.
         most, patience = self.preset.states, self.preset.patience
-        if self.data.samples <= SHORT_RECORDS:
-            most = patience = 2 * most
+        patience = most if self.data.samples <= SHORT_RECORDS else patience
         yield from self._train_methods(hidden, most, patience)
         gated = propose_gates(self.data, self.profile, self.preset)
         most = self.preset.gates

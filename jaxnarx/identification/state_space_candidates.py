@@ -15,10 +15,11 @@ FEW_INPUTS = ((2, 3), (3, 2), (4, 2), (3, 3), (2, 2), (4, 3), (5, 2), (6, 2), (8
 MANY_INPUTS = ((2, 2), (3, 2), (1, 2), (4, 2), (2, 3), (5, 2))
 FEW_SAMPLES = ((2, 2), (2, 3), (3, 2), (4, 2), (1, 2), (3, 3), (5, 2))
 """Number of states and degree, in the order they are tried: of one or two inputs, of
-more, and of short records."""
-IN_REGIONS, REGION_STATES = (3, 2, 4), 3
-"""Numbers of states tried in up to so many regions, on short records, in turn with
-products: a training step takes several times as long."""
+more, and of short records, behind those that a linear model asks for."""
+MOST_REGIONS, REGION_STATES = 3, 4
+"""Most regions, and most states in them, on short records, in turn with products: a
+training step takes several times as long. Of the cascaded tanks and the coupled drives
+the best have as many states as a linear model asks for, or one less."""
 UNASKED_INPUTS = 2
 """Inputs up to which they are tried unasked, on long records products of three factors
 first."""
@@ -197,16 +198,16 @@ def _structures(
         count = (states + 1) * math.comb(states + inputs + degree, degree)
         return int(most / count)
 
-    states = preset.orders or IN_REGIONS
-    sizes = ((n, min(most_regions(n, 1), REGION_STATES)) for n in states)
-    in_regions = (size for size in sizes if size[1] > 1)
+    divided: set[int] = set()
     for n, degree in _products(data, output, preset):
-        if not most_regions(n, degree):
-            continue
-        yield n, degree, 1
-        size = next(in_regions, None) if data.samples <= SHORT_RECORDS else None
-        if size is not None:
-            yield size[0], 1, size[1]
+        if most_regions(n, degree):
+            yield n, degree, 1
+        regions = min(most_regions(n, 1), MOST_REGIONS)
+        few = n <= REGION_STATES or n in preset.orders
+        short = data.samples <= SHORT_RECORDS
+        if short and few and regions > 1 and n not in divided:
+            divided.add(n)
+            yield n, 1, regions
 
 
 def _products(data: Dataset, output: str, preset: Preset) -> Iterator[tuple[int, int]]:
@@ -225,5 +226,6 @@ def _products(data: Dataset, output: str, preset: Preset) -> Iterator[tuple[int,
         return
     usual = FEW_SAMPLES if short else FEW_INPUTS if few else MANY_INPUTS
     n = linear_order(thin_records(data, SEARCH_SAMPLES), output, MOST_LINEAR_STATES)
-    own = () if n is None else ((n, degree) for degree in degrees)
+    near = () if n is None else (n, n - 1 or 2) if short else (n,)
+    own = ((states, degree) for degree in degrees for states in near)
     yield from dict.fromkeys([*own, *usual])

@@ -18,8 +18,7 @@ class Preset:
     fed_back: int = 6
     """How many candidates with products of past outputs are tried."""
     states: int = 5
-    """How many structures with hidden states are tried; of short records twice as
-    many."""
+    """How many structures with hidden states are tried."""
     orders: tuple[int, ...] = ()
     """Numbers of hidden states that are tried (empty: as the data suggest)."""
     gates: int = 0
@@ -72,7 +71,7 @@ PRESETS = {
         max_models=24,
         grown=5,
         fed_back=16,
-        states=9,
+        states=10,
         gates=6,
         patience=16,
         sums=3,

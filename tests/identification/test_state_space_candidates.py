@@ -26,13 +26,13 @@ from jaxnarx.identification.state_space_candidates import (
     FEW_INPUTS,
     GATE_PULLS,
     GATED_FAMILY,
-    IN_REGIONS,
     LONG_GATE_PULLS,
     LONG_RECORDS,
     MANY_INPUTS,
     MOST_COEFFICIENTS,
     MOST_LINEAR_STATES,
     PULLS_TRIED,
+    REGION_STATES,
     SAMPLES_PER_COEFFICIENT,
     SHORT_PULLS,
     SHORT_RECORDS,
@@ -44,8 +44,8 @@ from jaxnarx.identification.state_space_candidates import (
 from jaxnarx.partition import ClosedSearch, profile_data
 from jaxnarx.settings import PRESETS, HiddenStates, Preset
 
-TINY = Preset("for tests", max_models=2, grown=1, fed_back=0, states=1)
-"""One structure, of short records two."""
+TINY = Preset("for tests", max_models=2, grown=1, fed_back=0, states=2)
+"""Two structures with hidden states."""
 
 
 def wide(inputs: int, rows: int) -> Dataset:
@@ -121,12 +121,18 @@ def regional(data: Dataset, preset: Preset = TINY) -> list[tuple[int, int]]:
 
 
 def test_short_records_try_regions_in_turn_with_products():
-    assert regional(wide(1, SHORT_RECORDS)) == [
-        (1 + 2 * n, s) for n, s in enumerate(IN_REGIONS)
-    ]
+    data = wide(1, SHORT_RECORDS)
+    found, every = regional(data), list(propose_state_space(data, "y", TINY))
+    assert sorted(states for _, states in found) == list(range(1, 1 + REGION_STATES))
+    for place, states in found:  # right behind the first product of as many states
+        first = next(n for n, (*_, m) in enumerate(every) if m.states == states)
+        assert place == first + 1 and every[first][2].regions == 1
     assert not regional(wide(1, SHORT_RECORDS + 1)) and not regional(
         wide(UNASKED_INPUTS + 1, SHORT_RECORDS)
     )
+    # First as many states as a linear model asks for, then one less.
+    (first, own), (second, less) = found[:2]
+    assert (first, second) == (1, 3) and less == (own - 1 or 2)
     asked = dataclasses.replace(TINY, orders=(1, 5))
     assert [states for _, states in regional(wide(1, SHORT_RECORDS), asked)] == [1, 5]
     # 200 samples bear 33 coefficients: of two states twelve a region, but no two of
@@ -134,7 +140,7 @@ def test_short_records_try_regions_in_turn_with_products():
     found = [
         m for *_, m in propose_state_space(wide(1, 200), "y", TINY) if m.regions > 1
     ]
-    assert [(m.states, m.regions) for m in found] == [(2, 2)]
+    assert [(m.states, m.regions) for m in found] == [(1, 3), (2, 2)]
 
 
 @pytest.mark.parametrize(("inputs", "rows"), [(1, 600), (1, 5000), (2, 10_000)])
@@ -270,7 +276,7 @@ def tried(closed, **more) -> list[Candidate]:
 
 def test_every_pull_is_a_candidate_with_a_model_of_its_own(closed, asked):
     expected = [names for _, names, _ in propose_state_space(closed[0], "y", TINY)][:2]
-    first, second = (0.3, 0.2, None, 0.7), (0.5, 0.6, 0.4, 0.8, 0.9, 0.45)
+    second, first = (0.3, 0.2, None, 0.7), (0.5, 0.6, 0.4, 0.8, 0.9, 0.45)
     assert [len(first), len(second)] == [len(names) for names in expected]
     asked["results"] = [outcome(closed, *first), outcome(closed, *second)]
     rows = tried(closed)
@@ -280,23 +286,25 @@ def test_every_pull_is_a_candidate_with_a_model_of_its_own(closed, asked):
     ]
     assert {row.family for row in rows} == {FAMILY_NAME}
     assert [row.name for row in rows] == sum(expected, [])
-    assert [m.regions for m in asked["asked"]] == [1, 3]
+    assert [m.regions for m in asked["asked"]] == [3, 1]
     assert all(row.seconds is not None for row in rows)
 
 
 def test_a_search_that_goes_on_does_not_try_them_again(closed, asked):
-    first = outcome(closed, 0.3, 0.2, None, 0.7)
+    first = outcome(closed, 0.3, 0.2, None, 0.7, 0.4, 0.5)
     asked["results"] = [first, DataError("no start of 3 hidden states")]
     rows = tried(closed)
     # Of a method that cannot be trained there is one row, under its first name.
-    assert [row.status for row in rows] == ["ok", "ok", "skipped", "ok", "failed"]
+    assert [row.status for row in rows] == [
+        *("ok", "ok", "skipped", "ok", "ok", "ok", "failed")
+    ]
     assert len(asked["asked"]) == 2
     again = tried(closed, known=rows)
     assert not again and len(asked["asked"]) == 2, "nothing was left to be tried"
     # Cut short between the candidates of one method: that method is trained again.
     asked["results"] = [first]
-    part = tried(closed, known=[rows[0], rows[4]])
-    assert [row.name for row in part] == [row.name for row in rows[:4]]
+    part = tried(closed, known=[rows[0], rows[6]])
+    assert [row.name for row in part] == [row.name for row in rows[:6]]
     assert len(asked["asked"]) == 3
 
 
