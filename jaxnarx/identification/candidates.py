@@ -61,7 +61,8 @@ FED_PATIENCE = 1
 none was better than all others (`experiments/open_sets/order.py`). `quick`, which has
 no hidden states, tries one: of 20 random systems it chose that for a few."""
 MOST_CHOICES = 3
-"""Candidates that nested cross-validation may veto before none is judged so."""
+"""Candidates that nested cross-validation may veto, or find to promise too much, before
+no other is judged so."""
 NEAR_BEST_FACTOR = 1.5
 """Error, as a multiple of the best candidate's, up to which a kind is promising."""
 
@@ -143,7 +144,7 @@ class CandidateSearch:
                 break
             rows[row.family, row.name] = row
             yield row, None
-            if row.eligible:
+            if row.eligible and row.keeps_promise:
                 break
         board = self._board(rows)
         choice = board.choose(self.profile.output)

@@ -108,7 +108,12 @@ def judge_nested(
         return row
     error = float(np.sqrt(losses[known] @ counts[known] / counts[known].sum()))
     own = tuple(float(e) if np.isfinite(e) else None for e in np.sqrt(losses))
-    return dataclasses.replace(row, nested=error, nested_groups=own)
+    judged = dataclasses.replace(row, nested=error, nested_groups=own)
+    if judged.keeps_promise or judged.free_run is None:
+        return judged
+    times = error / judged.free_run
+    told = f"made again without a group it has {times:.2g} times the error there"
+    return dataclasses.replace(judged, detail=told)
 
 
 def repeat_closed_form(

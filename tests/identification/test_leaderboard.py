@@ -192,6 +192,24 @@ def test_two_groups_or_even_ones_do_not_disagree():
     assert board().dominant_group("y") is None
 
 
+def test_a_candidate_that_breaks_its_promise_comes_last():
+    """Of three nested errors, where more than four times the promise is too much."""
+    first, second = row(1, (0.1,) * 4, 100), row(2, (0.12,) * 4, 200)
+    broken = dataclasses.replace(first, nested=0.41)
+    assert dataclasses.replace(first, nested=0.4).keeps_promise
+    assert not broken.keeps_promise
+    for rule in ("near", "share", "best"):
+        assert board(first, second, rule=rule).choose("y") == first
+        assert board(broken, second, rule=rule).choose("y") == second
+    assert [one.number for one in board(broken, second).of("y")] == [2, 1]
+    # If the other one is worse still, the smallest nested error decides.
+    for nested, chosen in ((0.3, 2), (0.47, 1), (0.9, 1)):
+        judged = dataclasses.replace(second, nested=nested)
+        found = board(broken, judged).choose("y")
+        assert found is not None and found.number == chosen
+    assert board(broken).choose("y") == broken
+
+
 def test_of_the_choice_and_the_simplest_the_smaller_nested_error_decides():
     best = row(0, (0.10, 0.20, 0.30), 50)
     plain = row(1, (0.15, 0.15, 0.33), 10)
