@@ -294,9 +294,15 @@ def test_speed_and_memory_of_the_search(tmp_path, measured):
     cold, warm = (found["quick"][name] for name in ("cold", "warm"))
     assert cold["compiled"] == cold["programs"] == warm["programs"] > 0
     assert warm["compiled"] == 0
-    for name, row in found["short"].items():
-        if name != "engine":
-            assert_target(row["aim"])
+    for row in (
+        *(r for r in found["short"].values() if "aim" in r),
+        found["one_input"],
+    ):
+        assert_target(row["aim"])
+    assert {name for name in found["short"] if name != "engine"} == {
+        "600 samples, cold",
+        "600 samples, warm",
+    }
     for name in ("seconds", "cross_validated_nrmse", "chosen"):
         assert (cold[name] == warm[name]) == (name != "seconds")
     for row in (cold["aim"], found["candidates"]["a_hundred"]):
