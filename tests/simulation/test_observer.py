@@ -79,6 +79,17 @@ def test_the_free_run_from_an_estimated_start_is_the_truth(kind):
     np.testing.assert_allclose(found, [c[0, 2:] for c in given.computed], atol=1e-2)
 
 
+def test_starts_outside_of_a_program_are_those_inside_and_fit_any_records():
+    net, given = network("scheduled"), truth("scheduled")
+    batch = stack_records(given.data)
+    start, drive = make_masks(net, batch, net.window).start, make_drive(net, batch)
+    inside = jax.jit(lambda start: begin_hidden(net, drive, start).measured)(start)
+    outside = begin_hidden(net, drive, jax.device_put(start)).measured
+    np.testing.assert_allclose(outside, inside, rtol=1e-6, atol=1e-9)
+    few = Truth(given.data[:1], given.computed[:1])
+    assert common.compilations(lambda: starts(net, few)) == 0
+
+
 @pytest.mark.parametrize("k", [1, 5])
 def test_predictions_from_measured_samples_are_the_truth(k):
     run = predict(network(), truth().data, k).value
