@@ -32,7 +32,7 @@ MOST_QUICK_ENTRIES = 500_000
 """Entries of all arrays of a program up to which compilation takes longer than what it
 saves: some 10,000 samples of 50 columns."""
 OPTIONS_WITHIN, UNKNOWN_OPTION = "`compiler_options`", "No such compile option"
-"""What jax says of options of a program within another, and of one that is unknown."""
+"""jax refuses options of a program within another, and unknown ones, in these words."""
 _made = itertools.count(1)
 _knows_options = [True]
 """Empty where the compiler does not know `QUICK_OPTIONS`."""

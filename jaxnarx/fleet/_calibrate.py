@@ -140,6 +140,7 @@ class _Estimate:
     part: Int[np.ndarray, "records time"]
     sums: Information
     before: Float[np.ndarray, " outputs"]
+    donors: Float[np.ndarray, "ways outputs"]
     score: Float[np.ndarray, "ways outputs"]
     way: Int[np.ndarray, " outputs"]
     chosen: Float[np.ndarray, " params"]
@@ -169,7 +170,7 @@ class _Estimate:
         else:
             own = donors
         way, score = choose(rivals, donors, own, samples, colour)
-        given = cls(prior, runs, part, total, before, score, way, at)
+        given = cls(prior, runs, part, total, before, donors, score, way, at)
         return dataclasses.replace(given, chosen=given._follow())
 
     def _follow(self) -> Float[np.ndarray, " params"]:
@@ -276,9 +277,7 @@ def _with_intervals(prior: FleetPrior, value: Network, found: _Estimate) -> Netw
     errors = prior.network.errors
     if errors is None:
         return value
-    samples = float(np.asarray(found.sums.samples).max())
-    table = prior.foretell(np.asarray(found.sums.gram), samples)
-    own = table[found.way, np.arange(len(found.way))]
+    own = found.donors[found.way, np.arange(len(found.way))]
     wider = np.maximum(own - np.log(prior.left / prior.output_spread), 0.0) / 2
     constant = np.asarray(errors.constant) + wider
     new = dataclasses.replace(

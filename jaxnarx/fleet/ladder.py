@@ -75,6 +75,7 @@ def calibrate_donors(
     parts = min(FOLDS, len(judged))
     begins = [BEGIN_SHARES[n // parts % len(BEGIN_SHARES)] for n in range(len(judged))]
     rows: list[np.ndarray] = []
+    hopes: list[np.ndarray] = []
     each: list[_Judged] = []
     for fold in range(parts):
         weight = found.used.astype(float)
@@ -90,20 +91,21 @@ def calibrate_donors(
                 for n in range(fold, len(judged), parts)
             ]
             others = dataclasses.replace(others, colour=population.colour)
-            rows += _errors(work, of_fold, others, typical, left)
+            rows += _errors(work, of_fold, others)
+            hopes += _expected(work, of_fold, others, typical, left)
             each = each or of_fold
-    ways = len(rivals_of(work.own, population))
-    shape = 2, len(rungs), ways, work.shape.outputs
-    errors, expected = _mean(rows, shape)
-    slope = _slope(rows, rivals_of(work.own, population).kinds, shape[-1])
+    ways = rivals_of(work.own, population)
+    shape = len(rungs), len(ways), work.shape.outputs
+    errors, expected = _mean(rows, shape), _mean(hopes, shape)
+    slope = _slope(rows, hopes, ways.kinds, shape[-1])
     rest = np.setdiff1d(used, judged[::parts])
     counts = tuple(n for n in COUNTS if n <= len(rest))
-    by_count = np.zeros((len(counts), *shape[1:]))
+    by_count = np.zeros((len(counts), *shape))
     for row, n in zip(by_count, counts, strict=True):
         few = _few(fitted, rest[:n])
         centre = few.mean - found.population.mean
         few = dataclasses.replace(few, mean=centre)
-        row[:] = _mean(_errors(work, each, few, typical, left), shape)[0]
+        row[:] = _mean(_errors(work, each, few), shape)
     return Ladder(rungs, errors, expected, slope, counts, by_count)
 
 
@@ -125,15 +127,18 @@ def _mean(rows: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _slope(
-    rows: list[np.ndarray], kinds: Sequence[str], outputs: int
+    rows: list[np.ndarray],
+    hopes: list[np.ndarray],
+    kinds: Sequence[str],
+    outputs: int,
 ) -> Float[np.ndarray, " outputs"]:
     """Slope of the errors of donors by what was expected of them, all rungs and ways
     that learn from others together, from 0 to 1; 0 where nothing tells."""
-    rows = [row for row in rows if np.all(np.isfinite(row))]
-    if len(rows) < 2:
+    pairs = [p for p in zip(rows, hopes, strict=True) if np.all(np.isfinite(p))]
+    if len(pairs) < 2:
         return np.zeros(outputs)
     learnt = [n for n, kind in enumerate(kinds) if kind in LEARNT]
-    apart = np.array(rows)[:, :, :, learnt]
+    apart = np.array(pairs)[:, :, :, learnt]
     error, expected = np.moveaxis(apart - apart.mean(axis=0), 1, 0)
     both, alone = ((expected * a).sum(axis=(0, 1, 2)) for a in (error, expected))
     return np.clip(both / np.where(alone > 0, alone, 1.0), 0.0, 1.0)
@@ -184,30 +189,40 @@ def _sums_of(
 
 
 def _errors(
+    work: DonorWork, judged: Sequence[_Judged], others: Population
+) -> list[Float[np.ndarray, "rungs ways outputs"]]:
+    """Logarithms of squared errors over the variance, of donors that others calibrate;
+    those without all the samples are left out."""
+    ways, noise = rivals_of(work.own, others), np.asarray(others.noise)
+    zero, rows = np.zeros(work.shape.params), []
+    for one in filter(_has_all, judged):
+        found = [judge_by_samples(ways, s, zero, noise) for s in one.sums]
+        error = np.stack([e[rung] for rung, e in enumerate(found)])
+        count = np.asarray(one.sums[0].samples)[-1]
+        error[:, ways.kinds.index("as is")] = one.as_is / count
+        rows.append(np.log(np.maximum(error / one.spread, 1e-12)))
+    return rows
+
+
+def _expected(
     work: DonorWork,
     judged: Sequence[_Judged],
     others: Population,
     typical: Float[np.ndarray, "outputs params params"],
     left: Float[np.ndarray, " outputs"],
-) -> list[Float[np.ndarray, "2 rungs ways outputs"]]:
-    """Logarithms of squared errors, of donors that others calibrate, over the variance,
-    and of what is expected; those without all the samples are left out."""
-    ways, noise = rivals_of(work.own, others), np.asarray(others.noise)
-    zero, rows = np.zeros(work.shape.params), []
-    for one in judged:
-        fine = [np.all(s.samples > 0) and np.all(np.isfinite(s.gram)) for s in one.sums]
-        if all(fine):
-            found = [judge_by_samples(ways, s, zero, noise) for s in one.sums]
-            error = np.stack([e[rung] for rung, e in enumerate(found)])
-            count = np.asarray(one.sums[0].samples)[-1]
-            error[:, ways.kinds.index("as is")] = one.as_is / count
-            grams = [np.asarray(s.gram)[: n + 1] for n, s in enumerate(one.sums)]
-            expected = np.stack(
-                [
-                    expect_errors(ways, gram.sum(axis=0), others, typical, left)
-                    for gram in grams
-                ]
-            )
-            pair = np.stack([error / one.spread, expected])
-            rows.append(np.log(np.maximum(pair, 1e-12)))
+) -> list[Float[np.ndarray, "rungs ways outputs"]]:
+    """Logarithms of the squared errors to be expected of the same donors."""
+    ways, rows = rivals_of(work.own, others), []
+    for one in filter(_has_all, judged):
+        grams = [np.asarray(s.gram)[: n + 1] for n, s in enumerate(one.sums)]
+        found = [
+            expect_errors(ways, gram.sum(axis=0), others, typical, left)
+            for gram in grams
+        ]
+        rows.append(np.log(np.maximum(found, 1e-12)))
     return rows
+
+
+def _has_all(one: _Judged) -> bool:
+    """Whether a donor has all samples, and sums that can be computed with."""
+    return all(np.all(s.samples > 0) and np.all(np.isfinite(s.gram)) for s in one.sums)

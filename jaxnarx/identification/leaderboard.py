@@ -224,7 +224,7 @@ class Leaderboard:
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
     def _fine(self, output: str) -> list[Candidate]:
-        """Those that may be chosen and keep their promise, or all that may be."""
+        """Eligible candidates that keep their promise, or all if none does."""
         rows = [r for r in self.of(output) if r.eligible]
         return [r for r in rows if r.keeps_promise] or rows
 
