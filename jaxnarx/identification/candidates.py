@@ -53,11 +53,9 @@ number (12.7) the error of groups left out was .62 with two grown polynomials of
 output, .42 with two of its root, of its HC emissions .42 and .36."""
 MOST_ADDED = 20
 """Methods that are tried of each family that another package adds."""
-GATES_PATIENCE = 1
-"""After so many structures with gates, none of which came near the best, they are given
-up."""
 FED_PATIENCE = 1
-"""... with products of past outputs: on 32 outputs of open sets and virtual engines
+"""After so many structures with products of past outputs, none of which came near the
+best, they are given up: on 32 outputs of open sets and virtual engines
 none was better than all others (`experiments/open_sets/order.py`). `quick`, which has
 no hidden states, tries one: of 20 random systems it chose that for a few."""
 MOST_CHOICES = 3
@@ -228,18 +226,24 @@ class CandidateSearch:
             methods = trials(self.data, self.profile.output)
             own = ((family, [name], method) for name, method in methods)
             yield from self._train_methods(own, MOST_ADDED, MOST_ADDED)
+        hidden, gated = self._hidden_states(), self._gated_states()
+        # Of long records those with gates were better, of short ones mostly others.
+        long = self.data.samples > LONG_RECORDS
+        yield from itertools.chain(*((gated, hidden) if long else (hidden, gated)))
+        fed = propose_narx(self.data, self.profile)
+        patience = self.preset.patience if self.preset.rule == "best" else FED_PATIENCE
+        yield from self._train_methods(fed, self.preset.fed_back, patience)
+
+    def _hidden_states(self) -> Iterator[Tried]:
         hidden = propose_state_space(self.data, self.profile.output, self.preset)
         # Of short records one takes seconds, and the next may be the first to run.
         most, patience = self.preset.states, self.preset.patience
         patience = most if self.data.samples <= SHORT_RECORDS else patience
         yield from self._train_methods(hidden, most, patience)
-        gated = propose_gates(self.data, self.profile, self.preset)
-        most = self.preset.gates
-        patience = most if self.preset.rule == "best" else GATES_PATIENCE
-        yield from self._train_methods(gated, most, patience)
-        fed = propose_narx(self.data, self.profile)
-        patience = self.preset.patience if self.preset.rule == "best" else FED_PATIENCE
-        yield from self._train_methods(fed, self.preset.fed_back, patience)
+
+    def _gated_states(self) -> Iterator[Tried]:
+        gated = list(propose_gates(self.data, self.profile, self.preset))
+        yield from self._train_methods(iter(gated), len(gated), len(gated))
 
     def _takes_lead(self, kind: str, row: Candidate) -> bool:
         """Note a candidate that is the best of its kind so far, and may be in a sum."""
@@ -420,8 +424,8 @@ class CandidateSearch:
 
     def _most_rows(self, method: Identification | HiddenStates) -> int:
         """Samples that train a candidate at most."""
-        gated = isinstance(method, HiddenStates) and method.gates > 0
-        return self.preset.longest_gated if gated else self.preset.longest
+        bank = isinstance(method, HiddenStates) and len(method.times) > 0
+        return self.preset.longest_bank if bank else self.preset.longest
 
     def _score_trained(
         self, family: str, name: str, found: CrossValidation, seconds: float

@@ -22,8 +22,8 @@ class Preset:
     orders: tuple[int, ...] = ()
     """Numbers of hidden states that are tried (empty: as the data suggest)."""
     gates: int = 0
-    """How many structures of hidden states with sigmoid gates are tried; of few inputs
-    only where the smallest error is wanted."""
+    """How many numbers and draws of sigmoid gates are tried, each with one or two
+    numbers of hidden states."""
     patience: int = 3
     """After so many methods of a kind, none of which came near the best, the kind is
     given up; not those with hidden states of short records."""
@@ -35,8 +35,9 @@ class Preset:
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
-    longest_gated: int = 120_000
-    """Samples that train those with gates, whose equations cost less."""
+    longest_bank: int = 120_000
+    """Samples that train those that begin as a bank of lags, whose slow states need
+    long stretches."""
     rule: str = "near"
     """`near`: the cheapest to compute within one standard error of the best; `share`:
     within 5 %; `best`: the smallest error."""
@@ -72,7 +73,7 @@ PRESETS = {
         grown=5,
         fed_back=16,
         states=10,
-        gates=6,
+        gates=4,
         patience=16,
         sums=3,
         roots=4,

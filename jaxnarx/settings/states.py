@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from jaxnarx.checks import require
-from jaxnarx.settings.fields import Count, Steps, settings
+from jaxnarx.settings.fields import Count, NotNegative, Steps, settings
 
 
 @settings
@@ -38,6 +38,10 @@ class HiddenStates:
     """Regularisation of the coefficients, see `SimulationError`: at first towards the
     linear model, then towards where the last value has led. The training goes through
     these values one after another."""
+    ridge: NotNegative = 1e-4
+    """Ridge of what has gates or regions, as a share of what the data say, towards
+    where each value of `shrink` begins. A model that errs by far less than a
+    hundredth of the output's spread wants less of it."""
     window: Count = 50
     """Measured samples that a run's first states are estimated from."""
     start: str = ""

@@ -58,8 +58,6 @@ BANK_NAME = "bank of lags"
 FIRST_PULL_FACTOR = 10.0
 """Regularisation of first steps with gates on few samples, over that of the first
 stage."""
-GATE_RIDGE = 1e-4
-"""Ridge of what has gates."""
 
 
 @guard_arguments
@@ -139,7 +137,7 @@ def refit_states(
     have now. Errors are those of `jaxnarx.refinement.refine`.
     """
     start = set_ranges(network, data)
-    fit = _train(start, data, method.max_steps, shrink, None)
+    fit = _train(start, data, method, method.max_steps, shrink, None)
     found = set_state_ranges(fit.value, data)
     least, most = (
         {key: f(getattr(found, key), getattr(network, key)) for key in keys}
@@ -179,7 +177,7 @@ def _train_on(
     than before, begun as in use, is none to be used, though the training goes on from
     it."""
     try:
-        fit = _train(start.fit.value, data, method.max_steps, shrink, progress)
+        fit = _train(start.fit.value, data, method, method.max_steps, shrink, progress)
     except (JaxnarxError, np.linalg.LinAlgError):
         return start
     network = set_state_ranges(fit.value, data)
@@ -221,13 +219,13 @@ def _gated(
     network, steps = add_gates(network, data, method.gates, method.draw), 0
     if method.first_steps > PROBE_STEPS:
         steps = PROBE_STEPS
-        network = _train(network, data, steps, shrink, progress).value
+        network = _train(network, data, method, steps, shrink, progress).value
         error = _error(set_state_ranges(network, data), data)
         if not error <= hopeless**2:
             raise DataError(
                 f"an error in training of {error**0.5:.3g} after {steps} steps"
             )
-    fit = _train(network, data, method.first_steps - steps, shrink, progress)
+    fit = _train(network, data, method, method.first_steps - steps, shrink, progress)
     ranged = set_state_ranges(fit.value, data)
     return _Start(start.name, fit, ranged, _error(ranged, data))
 
@@ -240,7 +238,9 @@ def _divide(
     found = []
     for network in split_candidates(start.fit.value, data):
         try:
-            fit = _train(network, data, DIVISION_STEPS, method.shrink[0], progress)
+            fit = _train(
+                network, data, method, DIVISION_STEPS, method.shrink[0], progress
+            )
         except (JaxnarxError, np.linalg.LinAlgError):
             continue
         network = set_state_ranges(fit.value, data)
@@ -260,10 +260,10 @@ def _starts(
     reason = "no linear model can be identified"
     for name, network in _linear_networks(data, places, method):
         try:
-            fit = _train(network, few, steps, shrink, progress)
+            fit = _train(network, few, method, steps, shrink, progress)
             for degree in range(2, method.degree + 1):
                 network = increase_degree(fit.value, degree)
-                fit = _train(network, few, steps, shrink, progress)
+                fit = _train(network, few, method, steps, shrink, progress)
             network = set_state_ranges(fit.value, few)
             found.append(_Start(name, fit, network, _error(network, few)))
         except (JaxnarxError, np.linalg.LinAlgError) as failure:
@@ -307,17 +307,18 @@ def _error(network: Network, data: Dataset) -> float:
 def _train(
     network: Network,
     data: Dataset,
+    method: HiddenStates,
     steps: int,
     shrink: float,
     progress: Tell | None,
 ) -> Solution[Network]:
     gated = len(network.models[0].active) > 1
-    method = SimulationError(
+    rules = SimulationError(
         max_steps=steps,
         train="joint" if gated else "staged",
-        ridge=GATE_RIDGE if gated else 0,
+        ridge=method.ridge if gated else 0,
         shrink=shrink,
         tolerance=PULL_TOLERANCE,
         patience=steps + 1,
     )
-    return refine(network, data, method, progress=progress)
+    return refine(network, data, rules, progress=progress)

@@ -206,10 +206,10 @@ def test_many_first_steps_are_taken_where_the_first_of_them_give_hope(monkeypatc
     data, asked = records(), []
     train = fit_module._train
 
-    def counted(network, data, steps, shrink, progress):
+    def counted(network, data, method, steps, shrink, progress):
         gates = len(network.models[0].active) > 1
         asked.append(steps) if gates else None
-        return train(network, data, 1 if gates else steps, shrink, progress)
+        return train(network, data, method, 1 if gates else steps, shrink, progress)
 
     monkeypatch.setattr(fit_module, "_train", counted)
     method = HiddenStates(
