@@ -143,9 +143,9 @@ class Leaderboard:
     those a candidate whose local models forget their past comes before one whose do
     not. Where one of three groups or more has over half of the loss, `near` are those
     within one standard error of the best whose geometric mean over groups is within 5 %
-    of the least: the pooled error would be that group's alone. Where the `simplest` was
-    made again without every group too (`nested`), the smaller of both nested errors
-    chooses between it and that. Candidates whose nested error is far larger than what
+    of the least: the pooled error would be that group's alone. Of that candidate and
+    of cheaper ones that were made again without every group too (`nested`), the
+    smallest nested error decides. Candidates whose nested error is far larger than what
     they promise (`keeps_promise`) come last, unless it is the smallest of all."""
 
     def __str__(self) -> str:
@@ -192,9 +192,11 @@ class Leaderboard:
     def _choose_kept(self, output: str) -> Candidate | None:
         """The one to use, of those that keep their promise where there are some."""
         best = self.best(output)
-        if best is None or self.rule == "best":
+        if best is None:
             return best
         rows = self._fine(output)
+        if self.rule == "best":
+            return _least_nested(best, rows)
         if self.rule == "share":
             near = [r for r in rows if _is_within(r, best)]
         elif self.dominant_group(output):
@@ -203,10 +205,7 @@ class Leaderboard:
             near = [r for r in rows if _is_near(r, best)]
         near = [r for r in near if r.forgets] or near
         chosen = min(near, key=lambda r: (_cost(r), _error(r)))
-        plain = self.simplest(output)
-        if plain is None or plain.nested is None or chosen.nested is None:
-            return chosen
-        return plain if plain.nested < chosen.nested else chosen
+        return _least_nested(chosen, rows)
 
     def simplest(self, output: str) -> Candidate | None:
         """The cheapest to compute within one standard error of the best, however much
@@ -327,6 +326,15 @@ def _cost(row: Candidate) -> float:
 
 def _place(row: Candidate) -> tuple[bool, bool, float, float]:
     return (not row.eligible, not row.keeps_promise, _error(row), _cost(row))
+
+
+def _least_nested(chosen: Candidate, rows: list[Candidate]) -> Candidate:
+    """The least nested error of the chosen one and of those that cost less, where its
+    own is known."""
+    if chosen.nested is None:
+        return chosen
+    known = [r for r in rows if r.nested is not None and _cost(r) < _cost(chosen)]
+    return min([chosen, *known], key=lambda r: (r.nested, _cost(r)))
 
 
 def _is_within(row: Candidate, best: Candidate) -> bool:

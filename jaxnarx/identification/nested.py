@@ -53,6 +53,9 @@ class OuterFold:
     spread: float
     begin: int
     """Samples of every record that judge nothing."""
+    searches: dict[bool, ClosedSearch] = dataclasses.field(default_factory=dict)
+    """Those of candidates in closed form, of the output and of its root, which several
+    have in common."""
 
     def run(self, network: Network) -> tuple[Errors, int]:
         """Errors of a network over the group, and the records in which it diverges."""
@@ -65,22 +68,22 @@ the records in which it diverges."""
 
 
 def judge_nested(
-    row: Candidate,
-    remake: Remake,
+    rows: Sequence[Candidate],
+    remakes: Sequence[Remake],
     data: Dataset,
     groups: Groups,
     profile: DataProfile,
     spread: float,
     watch: Callable[[int], None] = lambda fold: None,
-) -> Candidate:
-    """The candidate with its nested errors; as it is where there are too few groups.
+) -> list[Candidate]:
+    """Candidates with their nested errors; as they are where there are too few groups.
 
     One that diverges is vetoed. A group without which it cannot be made, or that is too
     short, has no error. `watch` is called with the number of every group, from 1.
     """
     if len(groups) < FEWEST_GROUPS:
-        return row
-    losses, counts = np.full(len(groups), np.nan), np.zeros(len(groups))
+        return list(rows)
+    every = [_Nested(row, len(groups)) for row in rows]
     for g, fold in enumerate(groups.folds(data)):
         watch(g + 1)
         try:
@@ -90,30 +93,55 @@ def judge_nested(
             places = group_places(data, groups, g)
             own = fold.left, places, spread, profile.begin
             outer = OuterFold(g, train, apart, inner, seen, *own)
-            (_, errors), lost = remake(outer)
         except (JaxnarxError, np.linalg.LinAlgError):
             continue
+        for one, remake in zip(every, remakes, strict=True):
+            one.run(remake, outer, groups.names[g])
+    return [one.outcome() for one in every]
+
+
+class _Nested:
+    """The nested errors of a candidate so far."""
+
+    def __init__(self, row: Candidate, groups: int):
+        self.row, self.lost = row, False
+        self.losses, self.counts = np.full(groups, np.nan), np.zeros(groups)
+
+    def run(self, remake: Remake, fold: OuterFold, name: str) -> None:
+        """One group more, unless an earlier one has vetoed the candidate."""
+        if self.lost:
+            return
+        try:
+            (_, errors), lost = remake(fold)
+        except (JaxnarxError, np.linalg.LinAlgError):
+            return
         if lost:
-            return dataclasses.replace(
-                row,
+            self.lost = True
+            self.row = dataclasses.replace(
+                self.row,
                 status="diverged",
                 free_run=None,
-                diverged=row.diverged + lost,
-                detail=f"made again without {groups.names[g]} it diverges there",
+                diverged=self.row.diverged + lost,
+                detail=f"made again without {name} it diverges there",
             )
-        if len(errors):
-            losses[g], counts[g] = np.mean(errors.astype(float) ** 2), len(errors)
-    known = np.isfinite(losses)
-    if not known.any():
-        return row
-    error = float(np.sqrt(losses[known] @ counts[known] / counts[known].sum()))
-    own = tuple(float(e) if np.isfinite(e) else None for e in np.sqrt(losses))
-    judged = dataclasses.replace(row, nested=error, nested_groups=own)
-    if judged.keeps_promise or judged.free_run is None:
-        return judged
-    times = error / judged.free_run
-    told = f"made again without a group it has {times:.2g} times the error there"
-    return dataclasses.replace(judged, detail=told)
+        elif len(errors):
+            self.losses[fold.g] = np.mean(errors.astype(float) ** 2)
+            self.counts[fold.g] = len(errors)
+
+    def outcome(self) -> Candidate:
+        """The candidate with these errors."""
+        losses, counts = self.losses, self.counts
+        known = np.isfinite(losses)
+        if self.lost or not known.any():
+            return self.row
+        error = float(np.sqrt(losses[known] @ counts[known] / counts[known].sum()))
+        own = tuple(float(e) if np.isfinite(e) else None for e in np.sqrt(losses))
+        judged = dataclasses.replace(self.row, nested=error, nested_groups=own)
+        if judged.keeps_promise or judged.free_run is None:
+            return judged
+        times = error / judged.free_run
+        told = f"made again without a group it has {times:.2g} times the error there"
+        return dataclasses.replace(judged, detail=told)
 
 
 def repeat_closed_form(
@@ -124,8 +152,10 @@ def repeat_closed_form(
     fold: OuterFold,
 ) -> tuple[Errors, int]:
     """A candidate in closed form, of the output or of its `root`."""
-    search = ClosedSearch(fold.train, fold.profile, fold.groups, root=root)
-    found = search.repeat(family, structure, partitions)
+    if root not in fold.searches:
+        own = fold.train, fold.profile, fold.groups
+        fold.searches[root] = ClosedSearch(*own, root=root)
+    found = fold.searches[root].repeat(family, structure, partitions)
     return fold.run(hold_to_range(found.network()))
 
 

@@ -9,6 +9,7 @@ from jaxnarx.partition.closed_form.model import ClosedForm as ClosedForm
 from jaxnarx.partition.closed_form.model import ClosedStructure as ClosedStructure
 from jaxnarx.partition.closed_form.profile import DataProfile as DataProfile
 from jaxnarx.partition.closed_form.profile import profile_data as profile_data
+from jaxnarx.partition.closed_form.search import OF_ROOT as OF_ROOT
 from jaxnarx.partition.closed_form.search import ClosedSearch as ClosedSearch
 from jaxnarx.partition.closed_form.sums import Errors as Errors
 from jaxnarx.partition.closed_form.sums import Sum as Sum

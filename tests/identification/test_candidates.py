@@ -16,7 +16,13 @@ from jaxnarx.identification.cross_validate import CrossValidation
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.identification.narx_candidates import propose_narx
 from jaxnarx.models import hold_to_range
-from jaxnarx.partition import ClosedForm, ClosedSearch, DataProfile, profile_data
+from jaxnarx.partition import (
+    ClosedForm,
+    ClosedSearch,
+    ClosedStructure,
+    DataProfile,
+    profile_data,
+)
 from jaxnarx.settings import Identification, Preset
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, states=0, longest=10_000)
@@ -63,7 +69,7 @@ def judged(monkeypatch, few) -> dict:
             raise result
         return [result]
 
-    monkeypatch.setattr(module, "judge_nested", lambda row, *_: row)
+    monkeypatch.setattr(module, "judge_nested", lambda rows, *_: list(rows))
     monkeypatch.setattr(module, "FED_PATIENCE", 3)
     monkeypatch.setattr(module, "ClosedSearch", Fake)
     monkeypatch.setattr(module, "cross_validate", judge)
@@ -306,8 +312,12 @@ def test_the_chosen_one_comes_once_more_with_its_nested_error(
     best = min(few, key=lambda one: one.free_run)
     asked = []
 
-    def judge(row, remake, records, *_):
+    def judge(rows, remakes, records, *_):
+        (row,), (remake,) = rows, remakes
         assert records is data and callable(remake)
+        return [one(row)]
+
+    def one(row):
         asked.append(row.name)
         if row.name == best.name:
             return dataclasses.replace(row, status="diverged", free_run=None)
@@ -328,3 +338,35 @@ def test_the_chosen_one_comes_once_more_with_its_nested_error(
     tried(data, seen, preset, known=[lost, row])
     tried(data, seen, preset, late=lambda: True)
     assert not asked
+
+
+def test_fewer_regions_are_made_again_beside_the_chosen_ones(
+    data, seen, few, judged, monkeypatch
+):
+    """Of the same polynomial, those with moved gates first."""
+
+    def divided(models, gates, share, **structure):
+        stage = few[-1].stage
+        stage = dataclasses.replace(stage, losses=share * stage.losses)
+        name = f"{models} regions" + ", gates moved" * gates + str(structure or "")
+        own = ClosedStructure(models=models, gates=gates, **structure)
+        left = dict(given=few[-1].given, left_out=few[-1].left_out)
+        return ClosedForm("shared feedback", name, stage, data, own, **left)
+
+    sizes = [(2, False, 0.6), (4, False, 0.5), (8, False, 0.3), (8, True, 0.2)]
+    sizes += [(4, True, 0.4), (6, False, 0.4), (7, True, 0.35)]
+    every = [divided(*size) for size in sizes] + [divided(4, True, 0.4, order=2)]
+    asked = []
+
+    def judge(rows, remakes, *_):
+        asked.append([row.name for row in rows])
+        return [dataclasses.replace(row, nested=0.25) for row in rows]
+
+    monkeypatch.setattr(module, "judge_nested", judge)
+    monkeypatch.setattr(module.ClosedSearch, "candidates", lambda *_, **__: iter(every))
+    preset = dataclasses.replace(TINY, fed_back=0, rule="best")
+    _, found = tried(data, seen, preset)
+    moved = [f"{models} regions, gates moved" for models in (8, 4, 7)]
+    assert asked == [[*moved, "2 regions"]]
+    assert [row.name for row, _ in found[-4:]] == asked[0]
+    assert all(row.nested == 0.25 and network is None for row, network in found[-4:])

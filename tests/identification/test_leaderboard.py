@@ -210,7 +210,7 @@ def test_a_candidate_that_breaks_its_promise_comes_last():
     assert board(broken).choose("y") == broken
 
 
-def test_of_the_choice_and_the_simplest_the_smaller_nested_error_decides():
+def test_of_the_choice_and_cheaper_ones_the_smallest_nested_error_decides():
     best = row(0, (0.10, 0.20, 0.30), 50)
     plain = row(1, (0.15, 0.15, 0.33), 10)
     assert board(best, plain).choose("y") == best
@@ -224,7 +224,9 @@ def test_of_the_choice_and_the_simplest_the_smaller_nested_error_decides():
     assert board(best, judged[1]).choose("y") == best
     worse = dataclasses.replace(judged[1], nested=0.41)
     assert board(judged[0], worse).choose("y") == judged[0]
-    assert board(*judged, rule="best").choose("y") == judged[0]
+    assert board(*judged, rule="best").choose("y") == judged[1]
+    dearer = dataclasses.replace(judged[1], operations=60)
+    assert board(judged[0], dearer, rule="best").choose("y") == judged[0]
     assert board(*judged, rule="share").simplest("y") is None
 
 

@@ -38,6 +38,11 @@ def seen(data):
     return profile_data(data, "y")
 
 
+def judge_one(row, remake, *rest):
+    """The nested errors of one candidate."""
+    return judge_nested([row], [remake], *rest)[0]
+
+
 def remake(fold):
     """A model of first order."""
     search = ClosedSearch(fold.train, fold.profile, fold.groups)
@@ -46,7 +51,7 @@ def remake(fold):
 
 def test_every_group_is_run_by_a_model_that_knows_nothing_of_it(data, seen):
     found, told = groups(data), []
-    row = judge_nested(ROW, remake, data, found, seen, SPREAD, told.append)
+    row = judge_one(ROW, remake, data, found, seen, SPREAD, told.append)
     assert told == [1, 2, 3, 4]
     losses, counts = [], []
     for g in range(4):
@@ -74,7 +79,7 @@ def test_a_group_without_which_nothing_can_be_made_has_no_error(data, seen):
             raise DataError("nothing to be made")
         return remake(fold)
 
-    row = judge_nested(ROW, fail, data, groups(data), seen, SPREAD)
+    row = judge_one(ROW, fail, data, groups(data), seen, SPREAD)
     assert row.nested_groups[0] is None and None not in row.nested_groups[1:]
     weights = [len(r) - seen.begin for r in data.records[1:]]
     losses = np.array(row.nested_groups[1:], float) ** 2
@@ -83,7 +88,7 @@ def test_a_group_without_which_nothing_can_be_made_has_no_error(data, seen):
     def never(fold):
         raise np.linalg.LinAlgError
 
-    assert judge_nested(ROW, never, data, groups(data), seen, SPREAD) == ROW
+    assert judge_one(ROW, never, data, groups(data), seen, SPREAD) == ROW
 
 
 def test_one_that_diverges_without_a_group_is_vetoed(data, seen):
@@ -98,7 +103,7 @@ def test_one_that_diverges_without_a_group_is_vetoed(data, seen):
         wild = dataclasses.replace(model, local=wild)
         return fold.run(dataclasses.replace(network, models=(wild,)))
 
-    row = judge_nested(ROW, explode, data, groups(data), seen, SPREAD)
+    row = judge_one(ROW, explode, data, groups(data), seen, SPREAD)
     assert row.status == "diverged" and not row.eligible and row.diverged >= 1
     assert data.names[0] in row.detail
 
@@ -107,7 +112,7 @@ def test_of_two_groups_none_is_left_to_choose_by(data, seen):
     two = Groups(
         ("a", "b"), tuple(np.full(len(r), n % 2) for n, r in enumerate(data)), True
     )
-    assert judge_nested(ROW, remake, data, two, seen, SPREAD) is ROW
+    assert judge_one(ROW, remake, data, two, seen, SPREAD) is ROW
 
 
 def test_a_mean_is_that_of_candidates_made_again(data, seen):
@@ -115,7 +120,7 @@ def test_a_mean_is_that_of_candidates_made_again(data, seen):
         (places, errors), _ = remake(fold)
         return (places[5:], 3 * errors[5:]), 0
 
-    row = judge_nested(
+    row = judge_one(
         ROW,
         functools.partial(remake_mean, [remake, second]),
         data,
@@ -123,11 +128,11 @@ def test_a_mean_is_that_of_candidates_made_again(data, seen):
         seen,
         SPREAD,
     )
-    one = judge_nested(ROW, remake, data, groups(data), seen, SPREAD)
+    one = judge_one(ROW, remake, data, groups(data), seen, SPREAD)
     assert one.nested is not None
     assert row.nested == pytest.approx(2 * one.nested, rel=0.05)
     known = [(np.arange(3), np.full(3, float(g))) for g in range(4)]
-    kept = judge_nested(
+    kept = judge_one(
         ROW,
         functools.partial(errors_of_fold, known),
         data,
@@ -143,18 +148,18 @@ def test_what_is_made_again_knows_its_structure_alone(data, seen, monkeypatch):
     again = functools.partial(
         repeat_closed_form, "OE", ClosedStructure(order=1), False, {}
     )
-    row = judge_nested(ROW, again, data, groups(data), seen, SPREAD)
-    one = judge_nested(ROW, remake, data, groups(data), seen, SPREAD)
+    row = judge_one(ROW, again, data, groups(data), seen, SPREAD)
+    one = judge_one(ROW, remake, data, groups(data), seen, SPREAD)
     assert row == one
     method = next(m for _, _, m in propose_narx(data, seen))
     plain = dataclasses.replace(method, refine=None)
     anew, known = Retraining(plain, 10_000), groups(data)
     again = functools.partial(anew.run, 0)
-    row = judge_nested(ROW, again, data, known, seen, 1.0)
+    row = judge_one(ROW, again, data, known, seen, 1.0)
     # What it has trained serves its other candidates too.
     assert sorted(anew.networks) == list(range(len(known)))
     monkeypatch.setattr(nested, "fit_method", None)
-    assert judge_nested(ROW, again, data, known, seen, 1.0) == row
+    assert judge_one(ROW, again, data, known, seen, 1.0) == row
     left = cross_validate(plain, data, groups(data), 1.0, one_step=False)[0]
     # Its terms are chosen there too; inputs that lags begin at are those of all here.
     assert row.nested == pytest.approx(

@@ -263,7 +263,7 @@ def asked(monkeypatch, closed) -> dict:
 
     monkeypatch.setattr(module, "ClosedSearch", Fake)
     monkeypatch.setattr(module, "cross_validate", judge)
-    monkeypatch.setattr(module, "judge_nested", lambda row, *_: row)
+    monkeypatch.setattr(module, "judge_nested", lambda rows, *_: list(rows))
     return said
 
 

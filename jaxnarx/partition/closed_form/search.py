@@ -6,7 +6,7 @@ normal equations of the simulation error give without another pass over the data
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -49,8 +49,9 @@ SCALES_TRIED = 5
 """Scales of lags and filters that are tried, each twice the last one."""
 ROUND_ERROR_SHARE = 0.995
 """Share of the error that must be left at most for another round."""
-NEARLY_BEST_FACTOR = 1.1
-"""Error of a partition, over that of the best, with which its gates are moved too."""
+NEARLY_BEST_FACTOR, FEWEST_FACTOR = 1.1, 1.03
+"""Error of a partition, over that of the best, up to which the gates of the one with
+the most regions are moved too, and of the one with the fewest."""
 OF_ROOT = ", root"
 """Behind the family of candidates that model a root of the output."""
 GROWN_ROOTS = 2
@@ -79,6 +80,8 @@ class ClosedSearch:
         self.known: dict[tuple[Memory, int], RunSignals] = {}
         self.roots: list[ClosedForm] = []
         """The polynomials that `candidates` has divided."""
+        self.grown: tuple[ClosedStructure, list[GrownStage]] | None = None
+        """The last structure that `repeat` has divided, and all its partitions."""
 
     def signals(self, memory: Memory, degree: int) -> RunSignals:
         """Variables and terms of a memory."""
@@ -310,28 +313,50 @@ class ClosedSearch:
             return self.constant()
         if family == "ARX":
             return self.equation_error(order)
+        if family == "shared feedback" and not structure.partition:
+            stage = self._grow_again(structure)
+            if structure.gates:
+                stage = self.retune(stage, gates=True, most=3)
+            return self.make_candidate(family, "", stage, structure)
         linear = list(itertools.islice(self.linear(), max(order, 1)))
         if family == "OE":
             return linear[order - 1]
-        orders = {0: np.ones(1)} | dict(
-            enumerate((one.stage.design.a for one in linear), 1)
-        )
         if family in FILTERED_FAMILIES:
-            return list(self.search_filters(orders))[order]
-        memory = self.memory(structure.step)
-        signals = self.signals(memory, structure.degree)
-        stage = self.root(signals, orders[order], search=False)
-        stage = _with_ridge(stage) if structure.fine else stage
-        stage = self.retune(stage) if structure.feedback else stage
+            return list(self.search_filters(_feedbacks(linear)))[order]
+        stage = self._polynomial_again(structure)
         if structure.partition:
             partition = partitions[structure.partition]
             stage = divide_by(stage, _ask(partition, stage.design))
-        elif structure.models > 1:
-            levels = self.levels(signals)
-            stage = grow_regions(stage, max_models=structure.models, levels=levels)[-1]
-        if structure.gates:
-            stage = self.retune(stage, gates=True, most=3)
         return self.make_candidate(family, "", stage, structure)
+
+    def _polynomial_again(self, structure: ClosedStructure) -> GrownStage:
+        """One region of `repeat`."""
+        linear = itertools.islice(self.linear(), max(structure.order, 1))
+        a = _feedbacks(linear)[structure.order]
+        signals = self.signals(self.memory(structure.step), structure.degree)
+        stage = self.root(signals, a, search=False)
+        stage = _with_ridge(stage) if structure.fine else stage
+        return self.retune(stage) if structure.feedback else stage
+
+    def _grow_again(self, structure: ClosedStructure) -> GrownStage:
+        """So many regions of `repeat`. They are kept: fewer are among them."""
+
+        def bare(one: ClosedStructure) -> ClosedStructure:
+            return dataclasses.replace(one, models=1, gates=False)
+
+        known = None if self.grown is None else self.grown[0]
+        if (
+            known is None
+            or bare(known) != bare(structure)
+            or known.models < structure.models
+        ):
+            stage = self._polynomial_again(structure)
+            levels = self.levels(stage.design.signals)
+            stages = grow_regions(stage, max_models=structure.models, levels=levels)
+            self.grown = structure, stages
+        assert self.grown is not None
+        stages = self.grown[1]
+        return stages[min(structure.models, len(stages)) - 1]
 
     def divide_by_partition(
         self, name: str, partition: Partitioner
@@ -425,14 +450,19 @@ def _choose_to_grow(coarse: list[Root], fine: list[Root]) -> list[ClosedForm]:
 
 
 def _choose_to_move(stages: list[GrownStage], best: int) -> list[GrownStage]:
-    """The best, and the one with the most regions that is nearly as good: halvings may
-    gain little before their gates have moved."""
-    near = [
-        n
-        for n, s in enumerate(stages)
-        if s.score <= NEARLY_BEST_FACTOR * stages[best].score
-    ]
-    return [stages[n] for n in dict.fromkeys((best, max(near))) if n]
+    """The best, the one with the most regions that is nearly as good, for halvings may
+    gain little before their gates have moved, and the one with the fewest: what the
+    last halvings gain they often owe to having been chosen by the groups that judge."""
+    scores = np.array([one.score for one in stages]) / stages[best].score
+    most = int(np.flatnonzero(scores <= NEARLY_BEST_FACTOR).max())
+    fewest = int(np.flatnonzero(scores <= FEWEST_FACTOR).min())
+    return [stages[n] for n in dict.fromkeys((best, most, fewest)) if n]
+
+
+def _feedbacks(linear: Iterable[ClosedForm]) -> dict[int, Float[np.ndarray, " _"]]:
+    """A(q) of linear models by their orders, from zero on."""
+    every = (one.stage.design.a for one in linear)
+    return {0: np.ones(1)} | dict(enumerate(every, 1))
 
 
 def describe_memory(memory: Memory, a: Float[np.ndarray, " _"]) -> str:

@@ -199,11 +199,12 @@ def test_numbers_beyond_all_numbers(data, found):
     [
         ([0.5, 0.4, 0.3, 0.32, 0.34], [2, 3]),
         ([0.5, 0.4, 0.3], [2]),
+        ([0.5, 0.305, 0.302, 0.3, 0.4], [3, 1]),
         ([0.5, 0.6, 0.54, 0.7], [2]),  # the root has no gates
         ([0.5, 0.6], []),
     ],
 )
-def test_gates_move_in_the_best_and_in_the_largest_that_is_nearly_as_good(
+def test_gates_move_in_the_best_and_in_the_largest_and_smallest_nearly_as_good(
     search, scores, expected
 ):
     stage = search.constant().stage
