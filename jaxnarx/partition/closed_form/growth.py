@@ -26,6 +26,9 @@ RIDGES_TRIED = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 COARSE_RIDGES = 1e-4, 1e-2
 """Ridges tried for one region: it cannot tell what regions will make of its feedback,
 and finer ones rank by chance."""
+HALVINGS_TRIED = 3
+"""Halvings that are tried with all terms, of those that gain most with linear ones: on
+CO2 and exhaust temperature of a measured engine half the time for errors as small."""
 SIZES_TRIED = (
     *(1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 85, 110, 140, 180, 220, 260, 320),
     *(380, 450),
@@ -160,18 +163,20 @@ def grow_regions(
     patience: int = 3,
 ) -> list[GrownStage]:
     """One more region a stage; those that no halving improves end it."""
-    stages, kept = [start], {}
+    stages, kept, looks = [start], {}, {}
     best = BestStage(0, start.score)
     while best.going and len(stages[-1].leaves) < max_models:
         last = stages[-1]
-        tried = _try_halvings(last, levels, kept)
+        tried = _try_halvings(last, levels, kept, looks)
         if not tried:
             break
         _, n, gate, block = min(tried, key=lambda one: one[0])
         leaf = last.leaves[n]
         upper, lower = leaf.halve(gate)
         leaves = (*last.leaves[:n], lower, *last.leaves[n + 1 :], upper)
-        kept = {r: b for r, b in kept.items() if r[:-1] != leaf.region}
+        for blocks in (kept, looks):
+            for region in [r for r in blocks if r[:-1] == leaf.region]:
+                del blocks[region]
         stage = choose_size(
             last.design.extend(block), leaves, (last.ridge,), search=True
         )
@@ -190,27 +195,37 @@ def divide_by(start: GrownStage, validity: AbstractValidity) -> GrownStage:
     return choose_size(design, leaves, (start.ridge,), search=True)
 
 
-def _try_halvings(stage: GrownStage, levels, kept: dict[Region, Block]):
-    """Loss of every halving: the chosen columns and all of the new block."""
+def _try_halvings(
+    stage: GrownStage,
+    levels: Sequence[Sequence[float] | None],
+    kept: dict[Region, Block],
+    looks: dict[Region, Block],
+) -> list[tuple[float, int, Gate, Block]]:
+    """Loss of halvings, with the chosen columns and all of the new block: of those that
+    gain most with linear terms alone, which cost a fraction."""
     at, _ = stage.choose_columns()
-    small, out = stage.design.select_columns(at), []
+    small, found = stage.design.select_columns(at), []
+    factor = np.asarray(stage.design.signals.factor)
+    linear = np.flatnonzero((factor > 0).sum(axis=1) < 2)
     for n, leaf in enumerate(stage.leaves):
         for dim, own in enumerate(levels):
             gate = leaf.gate(dim, own)
             if gate is None:
                 continue
             region = (*leaf.region, gate)
-            if region not in kept:
-                kept[region] = stage.design.block(region)
-            out.append(
-                (
-                    _loss_with_block(small, kept[region], stage.ridge),
-                    n,
-                    gate,
-                    kept[region],
-                )
-            )
-    return out
+            if region not in looks:
+                looks[region] = stage.design.block(region, linear)
+            loss = _loss_with_block(small, looks[region], stage.ridge)
+            found.append((loss, n, gate, region))
+    found.sort(key=lambda one: one[0])
+    tried = []
+    for _, n, gate, region in found[:HALVINGS_TRIED]:
+        if region not in kept:
+            kept[region] = stage.design.block(region)
+        block = kept[region]
+        loss = _loss_with_block(small, block, stage.ridge)
+        tried.append((loss, n, gate, block))
+    return tried
 
 
 def _loss_with_block(small: BlockDesign, block: Block, ridge: float) -> float:

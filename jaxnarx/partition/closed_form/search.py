@@ -453,9 +453,9 @@ def _choose_to_move(stages: list[GrownStage], best: int) -> list[GrownStage]:
     """The best, the one with the most regions that is nearly as good, for halvings may
     gain little before their gates have moved, and the one with the fewest: what the
     last halvings gain they often owe to having been chosen by the groups that judge."""
-    scores = np.array([one.score for one in stages]) / stages[best].score
-    most = int(np.flatnonzero(scores <= NEARLY_BEST_FACTOR).max())
-    fewest = int(np.flatnonzero(scores <= FEWEST_FACTOR).min())
+    scores, least = np.array([one.score for one in stages]), stages[best].score
+    most = int(np.flatnonzero(scores <= NEARLY_BEST_FACTOR * least).max())
+    fewest = int(np.flatnonzero(scores <= FEWEST_FACTOR * least).min())
     return [stages[n] for n in dict.fromkeys((best, most, fewest)) if n]
 
 
