@@ -1,7 +1,8 @@
 """Maps optimised through models, checked on the engines they were identified from.
 
 Virtual engines of four beds, five seeds each: a network of terms of second degree of
-filtered inputs from four noisy records of 1,500 samples; maps optimised over a cycle of
+filtered inputs, or by `--models identify` what that finds, from four noisy records of
+1,500 samples; maps optimised over a cycle of
 another seed by `jnx.calibration.optimise`, inside of the network's domain and without
 it; then the engine itself runs that cycle and another one with these maps.
 
@@ -19,6 +20,8 @@ Beside it:
 
 - `with a test`: the engine runs a third cycle with the optimised maps, that record
   joins the other four, and model and maps are made anew;
+- `several`: limits are kept by the model and by those that it might as well have been
+  (`jnx.confidence.jackknife`);
 - `best constants` by the same model, objective and limits, on a grid;
 - `pointwise at rest`, as is done today: every point of the maps by itself, with the
   limits in every point;
@@ -83,11 +86,11 @@ def judge(bed: Bed, model: Callable, tables, demands: list[np.ndarray]):
     return row
 
 
-def bed_rows(name: str, seed: int, small: bool) -> dict[str, Any]:
+def bed_rows(name: str, seed: int, small: bool, models: str) -> dict[str, Any]:
     """All ways of one bed and seed."""
     inside = CalibrationSearch(rounds=2 if small else 8)
     anywhere = dataclasses.replace(inside, index=None)
-    bed = Bed(TASKS[name], seed, 300 if small else LENGTH)
+    bed = Bed(TASKS[name], seed, 300 if small else LENGTH, models=models)
     network = bed.network()
     plant, model = model_of(network)
     demands = [bed.excite(DEMAND), bed.excite(ANOTHER)]
@@ -100,6 +103,9 @@ def bed_rows(name: str, seed: int, small: bool) -> dict[str, Any]:
     rows["optimised"] = judge(bed, model, own, demands) | cost
     free, more = bed.optimise(network, demands[0], anywhere)
     rows["without the domain"] = judge(bed, model, free, demands) | more
+    several = [network, *jnx.confidence.jackknife(network, bed.dataset()).value]
+    shared, more = bed.optimise(several, demands[0], inside)
+    rows["several"] = judge(bed, model, shared, demands) | more
     tested = bed.network([bed.with_maps(bed.excite(TESTED), own)])
     again, more = bed.optimise(tested, demands[0], inside)
     rows["with a test"] = judge(bed, model_of(tested)[1], again, demands) | more
@@ -117,7 +123,7 @@ def bed_rows(name: str, seed: int, small: bool) -> dict[str, Any]:
 
 
 WAYS = (
-    *("optimised", "without the domain", "with a test"),
+    *("optimised", "without the domain", "several", "with a test"),
     *("CMA-ES", "best constants", "pointwise at rest"),
 )
 
@@ -154,8 +160,8 @@ def main() -> None:
     found: dict[str, dict[str, Any]] = {}
     for seed, name in itertools.product(options.seeds, options.beds):
         rows = found.setdefault(name, {})
-        rows[str(seed)] = bed_rows(name, seed, options.smoke)
-        figures = {"summary": summary(rows), "seeds": rows}
+        rows[str(seed)] = bed_rows(name, seed, options.smoke, options.models)
+        figures = {"models": options.models, "summary": summary(rows), "seeds": rows}
         record(f"calibration_{name}", figures, folder=folder)
 
 

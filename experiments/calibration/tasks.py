@@ -30,6 +30,8 @@ FILTERS = 1, 4, 16, 64
 TERMS = 40
 TOLERATED = 0.01
 """Share by which a limit may be broken on an engine."""
+MODELS = "quadratic", "identify"
+"""Terms of second degree of filtered inputs, or what `identify` finds by `quick`."""
 DEMAND, ANOTHER, TESTED = 100, 101, 102
 """Numbers of the cycle, of the other one, and of the one that is tested."""
 
@@ -123,8 +125,16 @@ Tables = dict[str, LookupTable]
 class Bed:
     """An engine, data of it, and measures over its cycles."""
 
-    def __init__(self, task: Task, seed: int, length: int, engine: Any = None):
-        self.task, self.seed, self.length = task, seed, length
+    def __init__(
+        self,
+        task: Task,
+        seed: int,
+        length: int,
+        engine: Any = None,
+        *,
+        models: str = MODELS[0],
+    ):
+        self.task, self.seed, self.length, self.models = task, seed, length, models
         self.engine = task.make() if engine is None else engine
         names = list(self.engine.channels.output_names)
         self.columns = [names.index(n) for n in task.outputs.values()]
@@ -173,7 +183,10 @@ class Bed:
     def network(self, tested: Sequence[np.ndarray] = ()) -> jnx.Network:
         """Identified from noisy records, with a domain."""
         data = self.dataset(tested)
-        found = jnx.identify(data, self.method()).value
+        if self.models == "identify":
+            found = jnx.identify(data, preset="quick").value
+        else:
+            found = jnx.identify(data, self.method()).value
         return jnx.confidence.fit_domain(found, data)
 
     def method(self) -> jnx.Identification:
@@ -295,6 +308,7 @@ def read_options(about: str | None, beds: Sequence[str], seeds: int) -> Any:
     add("--beds", nargs="+", default=list(beds))
     add("--seeds", nargs="+", type=int, default=list(range(1, seeds + 1)))
     add("--smoke", action="store_true", help="one bed, short records, few engines")
+    add("--models", choices=MODELS, default=MODELS[0])
     add("--results", metavar="DIR", help="folder for the JSON")
     options = parser.parse_args()
     if options.smoke:
