@@ -62,7 +62,7 @@ none was better than all others (`experiments/open_sets/order.py`). `quick`, whi
 no hidden states, tries one: of 20 random systems it chose that for a few."""
 MOST_SMALLER_ONES = 3
 """Candidates with fewer regions that are made again without every group beside the
-chosen one: halvings are chosen by all groups, and of a measured engine's CO2 14 regions
+chosen one (of long records `Preset.smaller`): halvings are chosen by all groups, and of a measured engine's CO2 14 regions
 had .0735 on groups left out; made again without a group 14 had .089, eight .084, and
 on six records that took part in nothing 14 had .167, seven .086."""
 MOST_CHOICES = 3
@@ -186,9 +186,8 @@ class CandidateSearch:
         return [new for old, new in zip(before, judged, strict=True) if new != old]
 
     def _smaller_ones(self, row: Candidate) -> list[Candidate]:
-        """Candidates of the same polynomial with fewer regions, up to
-        `MOST_SMALLER_ONES`: those whose gates have moved first, and half as many first.
-        """
+        """Candidates of the same polynomial with fewer regions: those whose gates have
+        moved first, and half as many first."""
         mine = self.divided.get((row.family, row.name))
         if mine is None:
             return []
@@ -206,7 +205,9 @@ class CandidateSearch:
         fewer.sort(key=lambda pair: (not pair[1].gates, abs(pair[1].models - half)))
         distinct = {structure.models: one for one, structure in reversed(fewer)}
         sizes = dict.fromkeys(structure.models for _, structure in fewer)
-        return [distinct[models] for models in sizes][:MOST_SMALLER_ONES]
+        long = self.data.samples > LONG_RECORDS
+        most = self.preset.smaller if long else MOST_SMALLER_ONES
+        return [distinct[models] for models in sizes][:most]
 
     def _every_kind(self) -> Iterator[Tried]:
         """All candidates, as they are tried."""

@@ -32,6 +32,9 @@ class Preset:
     roots: int = 0
     """How many polynomials are grown that model the root of an output far from
     symmetric; 0: none is modelled."""
+    smaller: int = 1
+    """How many candidates with fewer regions are made again without every group beside
+    the chosen one, of long records; of others three."""
     longest: int = 20_000
     """Samples that train those, in stretches of all records: they are trained on the
     free run step by step."""
@@ -63,6 +66,7 @@ PRESETS = {
         grown=2,
         fed_back=1,
         states=0,
+        smaller=0,
         longest=5_000,
         roots=1,
     ),
