@@ -62,9 +62,9 @@ none was better than all others (`experiments/open_sets/order.py`). `quick`, whi
 no hidden states, tries one: of 20 random systems it chose that for a few."""
 MOST_SMALLER_ONES = 3
 """Candidates with fewer regions that are made again without every group beside the
-chosen one (of long records `Preset.smaller`): halvings are chosen by all groups, and of a measured engine's CO2 14 regions
-had .0735 on groups left out; made again without a group 14 had .089, eight .084, and
-on six records that took part in nothing 14 had .167, seven .086."""
+chosen one (of long records `Preset.smaller`). Halvings are chosen by all groups: of a
+measured engine's CO2 14 regions had .0735 on groups left out; made again without a
+group 14 had .089, eight .084, and on six test records 14 had .167, seven .086."""
 MOST_CHOICES = 3
 """Candidates that nested cross-validation may veto, or find to promise too much, before
 no other is judged so."""
