@@ -1,10 +1,10 @@
 """Maps optimised through models, checked on the engines they were identified from.
 
 Virtual engines of four beds, five seeds each: a network of terms of second degree of
-filtered inputs, or by `--models identify` what that finds, from four noisy records of
-1,500 samples; maps optimised over a cycle of
-another seed by `jnx.calibration.optimise`, inside of the network's domain and without
-it; then the engine itself runs that cycle and another one with these maps.
+filtered inputs from four noisy records of 1,500 samples, or with `--models identify`
+what `identify --preset quick` chooses; maps optimised over a cycle of another seed by
+`jnx.calibration.optimise`, inside of the network's domain and without it; then the
+engine itself runs that cycle and another one with these maps.
 
 `vct`: a cam map of 6 x 6 points over speed and throttle; least mean NOx, mean HC no
 higher, mean torque at least .99 of that with 15 degrees everywhere. `diesel`: maps of

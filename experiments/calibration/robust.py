@@ -104,13 +104,13 @@ def judge(nominal: Bed, sisters: list[Bed], tables: Any) -> dict[str, Any]:
     return told
 
 
-def bed_rows(name: str, seed: int, small: bool) -> dict[str, Any]:
+def bed_rows(name: str, seed: int, small: bool, models: str) -> dict[str, Any]:
     """All ways of one bed and seed."""
     donors, drawn, count = (6, 2, 2) if small else (DONORS, DRAWN, JUDGED)
     length = 200 if small else LENGTH
     search = CalibrationSearch(rounds=1 if small else 8)
     engines = make_engines(name, seed, donors + count, length)
-    nominal = Bed(TASKS[name], seed, length)
+    nominal = Bed(TASKS[name], seed, length, models=models)
     network = nominal.network()
     prior = jnx.fleet.learn(Donors(engines[:donors]), network).value
     several = jnx.fleet.draw_engines(prior, drawn, seed=seed)
@@ -148,9 +148,13 @@ def main() -> None:
     folder = results_folder(options.results, smoke=options.smoke)
     found: dict[str, dict[str, Any]] = {}
     for seed, name in itertools.product(options.seeds, options.beds):
-        rows = bed_rows(name, seed, options.smoke)
+        rows = bed_rows(name, seed, options.smoke, options.models)
         found.setdefault(name, {})[str(seed)] = rows
-        figures = {"summary": summary(found), "beds": found}
+        figures = {
+            "models": options.models,
+            "summary": summary(found),
+            "beds": found,
+        }
         record("calibration_robust", figures, folder=folder)
 
 

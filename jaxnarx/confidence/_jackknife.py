@@ -47,8 +47,8 @@ def jackknife(
     Coefficients are trained once more without the group, on the free run, and moved
     away by sqrt(groups - 1) times the difference: the networks scatter as the network
     itself would from one set of records to another. Regions, terms and ranges stay.
-    What must hold for `network` can be asked of all of them: `optimise` of
-    `jaxnarx.calibration` takes them together.
+    `jaxnarx.calibration.optimise` takes them together with `network`, and asks limits
+    of all.
 
     Args:
         network: A network that was trained on these records.
@@ -61,11 +61,12 @@ def jackknife(
     Returns:
         `value` has one network for every group, of the structure of the given one;
         `stats["shares"]` the share of its move that each has made: less than one where
-        more would diverge. Status `ok`; `diverged` where even a sixteenth does: that
-        network stays as it was given.
+        more would diverge. Status `ok`; where even a sixteenth diverges `diverged`, and
+        where a training fails its status: that network stays as it was given, with a
+        share of zero, and `detail` names the group.
 
     Raises:
-        DataError: there is one group alone.
+        DataError: there is one group alone, or what is left cannot be trained on.
 
     Example:
         engines = [network, *jnx.confidence.jackknife(network, data).value]
@@ -78,16 +79,19 @@ def jackknife(
         raise DataError("of one group of records none can be left out")
     rules = SimulationError(train="coefficients", horizons=(), max_steps=max_steps)
     found, shares = [], []
+    status, detail = RESULTS.ok, ""
     for g, fold in enumerate(groups.folds(data)):
         if progress is not None:
             progress({"group": g + 1, "of": count})
-        other = refine(network, fold.train, rules).value
-        near, share = _move(network, other, math.sqrt(count - 1), data)
+        fit, near, share = refine(network, fold.train, rules), network, 0.0
+        if fit.is_okay:
+            near, share = _move(network, fit.value, math.sqrt(count - 1), data)
+        if not share:
+            status = RESULTS.diverged if fit.is_okay else fit.status
+            told = "runs diverge" if fit.is_okay else "the training fails"
+            detail = f"{told} without {groups.names[g]}"
         found.append(near)
         shares.append(share)
-    status = RESULTS.ok if all(shares) else RESULTS.diverged
-    lost = [groups.names[g] for g, share in enumerate(shares) if not share]
-    detail = f"runs diverge without {lost[0]}" if lost else ""
     return Solution(found, status, {"shares": shares}, detail)
 
 

@@ -198,16 +198,16 @@ class CandidateSearch:
             if one.family == row.family
             and one.eligible
             and structure.models < own.models
-            and dataclasses.replace(structure, models=own.models, gates=own.gates)
-            == own
+            and structure.undivided() == own.undivided()
         ]
         half = own.models / 2
         fewer.sort(key=lambda pair: (not pair[1].gates, abs(pair[1].models - half)))
-        distinct = {structure.models: one for one, structure in reversed(fewer)}
-        sizes = dict.fromkeys(structure.models for _, structure in fewer)
+        by_size: dict[int, Candidate] = {}
+        for one, structure in fewer:
+            by_size.setdefault(structure.models, one)
         long = self.data.samples > LONG_RECORDS
         most = self.preset.smaller if long else MOST_SMALLER_ONES
-        return [distinct[models] for models in sizes][:most]
+        return list(by_size.values())[:most]
 
     def _every_kind(self) -> Iterator[Tried]:
         """All candidates, as they are tried."""

@@ -54,8 +54,8 @@ class OuterFold:
     begin: int
     """Samples of every record that judge nothing."""
     searches: dict[bool, ClosedSearch] = dataclasses.field(default_factory=dict)
-    """Those of candidates in closed form, of the output and of its root, which several
-    have in common."""
+    """The searches in closed form, of the output and (True) of its root: candidates
+    that are made again share what they have grown."""
 
     def run(self, network: Network) -> tuple[Errors, int]:
         """Errors of a network over the group, and the records in which it diverges."""

@@ -93,6 +93,16 @@ def test_one_that_would_diverge_stays_nearer(monkeypatch):
     )
 
 
+def test_a_training_that_fails_is_told(monkeypatch):
+    def fail(one, *_):
+        return jnx.Solution(one, jnx.RESULTS.start_diverged, {})
+
+    monkeypatch.setattr(module, "refine", fail)
+    fit = jnx.confidence.jackknife(network(), data())
+    assert fit.status_name == "start_diverged" and not any(fit.stats["shares"])
+    assert "the training fails without" in fit.detail
+
+
 def test_one_group_alone_cannot_be_left_out():
     one = Groups(("all",), tuple(np.zeros(len(r), int) for r in data()), True)
     with pytest.raises(DataError, match="none can be left out"):

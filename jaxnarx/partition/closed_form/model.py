@@ -38,6 +38,10 @@ class ClosedStructure:
     partition: str = ""
     """Name of a partition of another package."""
 
+    def undivided(self) -> "ClosedStructure":
+        """The polynomial whose region is divided."""
+        return dataclasses.replace(self, models=1, gates=False)
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClosedForm:

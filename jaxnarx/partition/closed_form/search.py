@@ -340,14 +340,10 @@ class ClosedSearch:
 
     def _grow_again(self, structure: ClosedStructure) -> GrownStage:
         """So many regions of `repeat`. They are kept: fewer are among them."""
-
-        def bare(one: ClosedStructure) -> ClosedStructure:
-            return dataclasses.replace(one, models=1, gates=False)
-
         known = None if self.grown is None else self.grown[0]
         if (
             known is None
-            or bare(known) != bare(structure)
+            or known.undivided() != structure.undivided()
             or known.models < structure.models
         ):
             stage = self._polynomial_again(structure)
