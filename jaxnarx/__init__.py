@@ -14,6 +14,7 @@ from jaxnarx.docstrings import document
 if TYPE_CHECKING:
     from jaxnarx import calibration as calibration
     from jaxnarx import confidence as confidence
+    from jaxnarx import control as control
     from jaxnarx import data as data
     from jaxnarx import design as design
     from jaxnarx import engines as engines
@@ -123,9 +124,9 @@ _ROOM_BY_NAME = {
 _ROOM_MODULES = {
     name: f"jaxnarx.{name}"
     for name in (
-        "calibration confidence data design engines errors evaluation excitation "
-        "exporters fleet identification inverse linear metrics models partition "
-        "refinement regressors selection settings simulation sweep"
+        "calibration confidence control data design engines errors evaluation "
+        "excitation exporters fleet identification inverse linear metrics models "
+        "partition refinement regressors selection settings simulation sweep"
     ).split()
 }
 

@@ -53,7 +53,7 @@ HOUSE = [
     ["exporters"],
     ["linear", "inverse", "design", "evaluation"],
     ["identification", "calibration"],
-    ["fleet", "sweep"],
+    ["fleet", "sweep", "control"],
     # Floor 4, and the checks that users run over their extensions.
     ["shell", "contracts"],
 ]

@@ -23,7 +23,7 @@ PUBLIC = {n: getattr(jnx, n) for n in jnx.__all__} | {
     for room in (
         *("data", "design", "evaluation", "inverse", "linear", "models"),
         *("refinement", "regressors", "selection", "simulation"),
-        *("calibration", "confidence", "exporters", "fleet"),
+        *("calibration", "confidence", "control", "exporters", "fleet"),
     )
     for name in dir(getattr(jnx, room))
     if name not in jnx.__all__

@@ -153,3 +153,13 @@ def test_maps_are_made_for_a_fleet(tmp_path):
     experiment("calibration/robust.py", "--results", str(tmp_path))
     figures = json.loads((tmp_path / "calibration_robust.json").read_text())["figures"]
     assert 0 < figures["summary"]["vct, robust, cycle"]["objective, median"] < 1.5
+
+
+@pytest.mark.slow
+def test_engines_are_steered(tmp_path):
+    more = ("--beds", "pfi", "--results", str(tmp_path))
+    experiment("control/tracking.py", *more)
+    path = tmp_path / "control_tracking.json"
+    told = json.loads(path.read_text())["figures"]["summary"]
+    assert told["pfi, duty, engine"]["speed"]["median"] < 1.0
+    assert told["pfi, duty, constant references"]["speed, left"]["worst"] < 0.2

@@ -8,7 +8,7 @@ from names import PACKAGE
 FLOORS = {
     "4 the shell": ["shell", "contracts"],
     "3 verbs": [
-        *("fleet", "calibration", "sweep", "identification"),
+        *("control", "fleet", "calibration", "sweep", "identification"),
         *("linear", "inverse", "design", "evaluation", "exporters"),
         *("partition", "selection", "confidence", "refinement", "simulation"),
     ],

@@ -85,7 +85,8 @@ def modules_of(names: Iterable[Name]) -> list[str]:
     order = (
         "identification data regressors settings selection partition simulation "
         "refinement confidence evaluation metrics models exporters shell linear "
-        "inverse design excitation engines fleet calibration sweep solution errors"
+        "inverse design excitation engines fleet calibration control sweep solution "
+        "errors"
     ).split()
     pages = {name.page for name in names}
     missing = pages - set(order)

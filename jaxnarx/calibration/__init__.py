@@ -15,6 +15,7 @@ from jaxnarx.calibration.plants import AbstractPlant as AbstractPlant
 from jaxnarx.calibration.plants import EnginePlant as EnginePlant
 from jaxnarx.calibration.plants import FunctionPlant as FunctionPlant
 from jaxnarx.calibration.plants import NetworkPlant as NetworkPlant
+from jaxnarx.calibration.plants import as_plant as as_plant
 from jaxnarx.calibration.result import CalibratedMap as CalibratedMap
 from jaxnarx.calibration.result import Calibration as Calibration
 from jaxnarx.calibration.result import MeasureRow as MeasureRow

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxnarx.design import rest_run
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, input_memory
+from jaxnarx.models import Network, input_memory, require_computed
 
 LEAD_MEMORIES = 5.0
 """Memories of a network that it is run at rest before a cycle."""
@@ -52,14 +52,7 @@ class NetworkPlant(AbstractPlant):
     @classmethod
     def of(cls, network: Network) -> "NetworkPlant":
         """The plant; SpecError where it looks at outputs that it does not compute."""
-        foreign = [s for s in network.used if s >= len(network.channels.inputs)]
-        if foreign:
-            names = ", ".join(network.channels.names[s] for s in foreign)
-            raise SpecError(
-                f"the network looks at {names}, which it does not compute: nobody "
-                "knows what they are with another calibration",
-                field="plant",
-            )
+        require_computed(network, "plant")
         lead = math.ceil(LEAD_MEMORIES * input_memory(network)) + network.history
         return cls(
             network=network,

@@ -83,6 +83,8 @@ from jaxnarx.models.scheduling import scheduling_values as scheduling_values
 from jaxnarx.models.scheduling import weights_at as weights_at
 from jaxnarx.models.signed_root import SignedRoot as SignedRoot
 from jaxnarx.models.state import driving_signals as driving_signals
+from jaxnarx.models.state import require_computed as require_computed
+from jaxnarx.models.state import state_sizes as state_sizes
 from jaxnarx.models.state_form import StateForm as StateForm
 from jaxnarx.models.state_form import state_space as state_space
 from jaxnarx.models.storage import load as load

@@ -100,13 +100,20 @@ class Domain(eqx.Module):
         step = jnp.diff(own, axis=0, prepend=own[:1]).T
         return self.layers(x, step)[0].max(axis=1)
 
+    def joint_square(self, x: Float[Array, "features time"]) -> Float[Array, " time"]:
+        """Square of the layer `joint`, smooth in the features (physical units)."""
+        return jnp.sum(self._whitened(x) ** 2, axis=0) / self.border[2] ** 2
+
+    def _whitened(self, x):
+        return self.whiten @ ((x - self.middle[:, None]) / self.spread[:, None])
+
     def _layers(self, x, step):
         value = x[: len(self.inputs)]
         middle, half, most = self.widths()
         alone = jnp.abs(value - middle[:, None]) / half[:, None]
         rate = jnp.abs(step) / most[:, None]
         unit = (x - self.middle[:, None]) / self.spread[:, None]
-        white = self.whiten @ unit
+        white = self._whitened(x)
         joint = jnp.sqrt(jnp.sum(white**2, axis=0))
         apart = self._nearest_distance(unit * self.weight[:, None])
         near = jnp.sqrt(apart.sum(axis=0))

@@ -67,6 +67,19 @@ def driving_signals(network: Network) -> tuple[int, ...]:
     return (*inputs, *(s for s in network.used if s not in inputs))
 
 
+def require_computed(network: Network, field: str) -> None:
+    """SpecError where the network looks at outputs that it does not compute."""
+    inputs = len(network.channels.inputs)
+    foreign = [s for s in driving_signals(network) if s >= inputs]
+    if foreign:
+        names = ", ".join(network.channels.names[s] for s in foreign)
+        raise SpecError(
+            f"the network looks at {names}, which it does not compute: nobody knows "
+            "what they are under other inputs",
+            field=field,
+        )
+
+
 def memory(network: Network) -> LookedBack:
     """The memory that a network needs of each signal, static."""
     tables = (network.variables, *(m.scheduling for m in network.models))
@@ -260,6 +273,19 @@ def split(network: Network, x: Float[Array, " states"]) -> Past:
     loop = take(shape[0] * shape[1]).reshape(shape)
     over = take(1 if has_overshoot(network) else 0)
     return Past(raw, filters, far, loop, over)
+
+
+def state_sizes(network: Network) -> Float[Array, " states"]:
+    """Half of what every entry of the state has ranged over in training; one where it
+    has not moved."""
+    own = np.array(network.signals)[sources(network)]
+    at = np.array(driving_signals(network), int)
+    ends = [
+        join_state(rest_memory(network, side[at], side[own]))
+        for side in (network.low, network.high)
+    ]
+    wide = jnp.abs(ends[1] - ends[0]) / 2
+    return jnp.where(wide > 0, wide, 1.0)
 
 
 def join_state(past: Past) -> Float[Array, " states"]:

@@ -7,6 +7,8 @@ from jaxnarx.settings.calibration import CalibrationSearch as CalibrationSearch
 from jaxnarx.settings.calibration import CalibrationTask as CalibrationTask
 from jaxnarx.settings.calibration import CycleLimit as CycleLimit
 from jaxnarx.settings.calibration import Measure as Measure
+from jaxnarx.settings.control import Command as Command
+from jaxnarx.settings.control import OutputLimit as OutputLimit
 from jaxnarx.settings.description import DESCRIPTION as DESCRIPTION
 from jaxnarx.settings.design import OptimalDesign
 from jaxnarx.settings.fields import field_hints as field_hints

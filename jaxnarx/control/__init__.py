@@ -1,0 +1,28 @@
+"""Control: a network as the model of a predictive controller.
+
+`mpc` makes a controller of a network; its `step` says what to set at every sample, and
+`close_loop` runs it against a plant: another network, a virtual engine, or a function.
+"""
+
+from jaxnarx.control._close_loop import close_loop as close_loop
+from jaxnarx.control._mpc import mpc as mpc
+from jaxnarx.control.controller import Controller as Controller
+from jaxnarx.control.controller import ControlState as ControlState
+from jaxnarx.control.controller import Decision as Decision
+from jaxnarx.control.result import ControlledRun as ControlledRun
+from jaxnarx.docstrings import document
+from jaxnarx.settings import Command as Command
+from jaxnarx.settings import OutputLimit as OutputLimit
+
+__all__ = [
+    "Command",
+    "ControlState",
+    "ControlledRun",
+    "Controller",
+    "Decision",
+    "OutputLimit",
+    "close_loop",
+    "mpc",
+]
+
+document(Command, OutputLimit)

@@ -1,0 +1,409 @@
+"""A predictive controller: array functions that say what to set at every sample.
+
+At each sample a network's free run over a horizon is made as near to the references as
+its commands can bring it. With errors in quarters of the outputs' trained ranges and
+moves in the commands' ranges,
+
+    min  mean_k sum_o w_o (h_o(k) + d_o(k) - r_o(k))^2 + sum_b sum_c p_c move_c(b)^2
+         + sum_l (LINEAR e_l + SQUARE e_l^2)
+
+over commands that are held for blocks of samples, within bounds and rates, while
+outputs keep their limits, and inputs the domain of the network's training, but for e_l
+>= 0. It is solved by sequential quadratic
+programming with exact derivatives of the run (Gauss-Newton), by default one step a
+sample from where the last one has ended: M. Diehl, H. G. Bock, J. P. Schloeder, SIAM J.
+Control Optim. 43, 2005, 1714-1736 (real-time iteration). J. B. Rawlings, D. Q. Mayne,
+M. M. Diehl, Model Predictive Control, 2017.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxnarx.arrays import program, twin
+from jaxnarx.control.observer import (
+    ErrorStatistics,
+    Estimate,
+    advance_estimate,
+    begin_estimate,
+    correct,
+    expected_errors,
+)
+from jaxnarx.control.quadratic_program import TOLERANCE, solve_quadratic
+from jaxnarx.models import Domain, Network, driving_signals
+
+Values = Array | np.ndarray | Sequence[float | int]
+
+LINEAR, SQUARE = 100.0, 100.0
+"""Price of a broken limit, and of its square, in quarters of the trained range."""
+ROUND_OFF = 0.01
+"""Added to the square of the domain's index: at the middle it has no slope."""
+LEAST_CURVATURE = 1e-8
+SOLVED = 1e4 * TOLERANCE
+"""Residual up to which a quadratic program counts as solved."""
+
+
+class ControlState(NamedTuple):
+    """What a controller remembers from sample to sample.
+
+    `estimate` is that of the plant before the next sample, `u` are the inputs of the
+    last one, `plan` the commands that were planned from the next one on, `slow` the
+    filtered inputs that the network's domain looks at.
+    """
+
+    estimate: Estimate
+    u: Float[Array, " driving"]
+    plan: Float[Array, "horizon commands"]
+    slow: Float[Array, " used"]
+
+
+class Decision(NamedTuple):
+    """What a controller has decided at one sample.
+
+    `commands` are to be set, `outputs` what is expected over the horizon, `excess`
+    by how much each limit is expected to give way at most, in the output's unit,
+    `disturbance` what the observer adds to the network's outputs. Where the program
+    could not be solved (`solved`), the plan of before goes on.
+    """
+
+    commands: Float[Array, " commands"]
+    outputs: Float[Array, "horizon outputs"]
+    excess: Float[Array, " limits"]
+    disturbance: Float[Array, " outputs"]
+    solved: Bool[Array, ""]
+
+
+class Controller(eqx.Module):
+    """A network, what it is asked to do, and how; made by `jnx.control.mpc`.
+
+    `begin` and `step` are pure: they can be jitted, mapped and scanned. `commands`,
+    `targets` and `bounded` are places in the inputs and outputs; `low`, `high` and
+    `move`, the largest change a sample, are in the commands' units. The horizon begins
+    `first` samples from now: one, or none where outputs answer to commands at once.
+    Limits, `floor` and `ceiling`, are kept with `guard` to spare.
+    """
+
+    network: Network
+    commands: tuple[int, ...] = eqx.field(static=True)
+    targets: tuple[int, ...] = eqx.field(static=True)
+    bounded: tuple[int, ...] = eqx.field(static=True)
+    blocks: tuple[int, ...] = eqx.field(static=True)
+    horizon: int = eqx.field(static=True)
+    first: int = eqx.field(static=True)
+    rounds: int = eqx.field(static=True)
+    observe_states: bool = eqx.field(static=True)
+    low: Float[Array, " commands"]
+    high: Float[Array, " commands"]
+    move: Float[Array, " commands"]
+    effort: Float[Array, " commands"]
+    weight: Float[Array, " targets"]
+    floor: Float[Array, " limits"]
+    ceiling: Float[Array, " limits"]
+    guard: Float[Array, " limits"]
+    size: Float[Array, " outputs"]
+    span: Float[Array, " commands"]
+    statistics: ErrorStatistics
+    domain: Domain | None = None
+    fade: Float[Array, " used"] | None = None
+
+    @property
+    def nameless(self) -> "Controller":
+        """Copy with a network without names, which are no part of a program."""
+        return twin(self, network=self.network.nameless)
+
+    @property
+    def input_names(self) -> list[str]:
+        """All inputs, in the order of `begin`'s rows."""
+        names = self.network.channels.names
+        return [names[s] for s in driving_signals(self.network)]
+
+    @property
+    def command_names(self) -> list[str]:
+        """What the controller sets."""
+        return [self.input_names[c] for c in self.commands]
+
+    @property
+    def given_names(self) -> list[str]:
+        """The other inputs, in the order of `given`."""
+        return [self.input_names[c] for c in self.given]
+
+    @property
+    def target_names(self) -> list[str]:
+        """The outputs that have a reference."""
+        return [self.network.output_names[o] for o in self.targets]
+
+    @property
+    def limit_names(self) -> list[str]:
+        """The outputs that have limits."""
+        return [self.network.output_names[o] for o in self.bounded]
+
+    @property
+    def given(self) -> tuple[int, ...]:
+        """Places of the inputs that the controller does not set."""
+        every = range(len(driving_signals(self.network)))
+        return tuple(c for c in every if c not in self.commands)
+
+    def begin(
+        self,
+        u: Values,
+        measured: Values,
+    ) -> ControlState:
+        """The state of a plant at rest under these inputs, with these outputs."""
+        row = jnp.asarray(u, self.low.dtype)
+        return _begin(self, row, jnp.asarray(measured, row.dtype))
+
+    def step(
+        self,
+        state: ControlState,
+        measured: Values,
+        reference: Values,
+        given: Values | None = None,
+    ) -> tuple[ControlState, Decision]:
+        """What to set now.
+
+        Args:
+            state: From `begin`, or from the sample before.
+            measured: The outputs now, NaN where one was not measured.
+            reference: What the targets shall be, a row for each sample of the horizon,
+                which begins `first` samples from now, or one for all.
+            given: The inputs that are not set, from this sample on, alike.
+
+        Returns:
+            The next state, and the decision.
+        """
+        kind = self.low.dtype
+        others = np.zeros(0) if given is None else given
+        wanted = _over_horizon(reference, (self.horizon, len(self.targets)), kind)
+        rows = _over_horizon(others, (self.horizon, len(self.given)), kind)
+        return _step(self, state, jnp.asarray(measured, kind), wanted, rows)
+
+
+def _bounds(
+    controller: Controller, before: Float[Array, " commands"]
+) -> tuple[Float[Array, "blocks commands"], Float[Array, "blocks commands"]]:
+    """Bounds of every block; a command that stands beyond its own comes back as fast as
+    its rate allows."""
+    moves = jnp.arange(1.0, 1.0 + len(controller.blocks), dtype=before.dtype)[:, None]
+    reach = moves * controller.move[None]
+    low = jnp.minimum(controller.low[None], before[None] + reach)
+    return low, jnp.maximum(controller.high[None], before[None] - reach)
+
+
+def _over_horizon(rows: Values, shape: tuple[int, int], kind: jnp.dtype) -> Array:
+    """The rows, or one for all; on the host where they are there."""
+    xp = jnp if isinstance(rows, Array) else np
+    rows = xp.asarray(rows, kind)
+    return jnp.asarray(xp.broadcast_to(rows if rows.ndim == 2 else rows[None], shape))
+
+
+def _inputs(
+    controller: Controller, commands: Float[Array, " c"], given: Float[Array, " g"]
+) -> Float[Array, " driving"]:
+    """The whole row of inputs."""
+    row = jnp.zeros(len(controller.commands) + len(controller.given), commands.dtype)
+    row = row.at[np.array(controller.commands, int)].set(commands)
+    return row.at[np.array(controller.given, int)].set(given)
+
+
+def _all_inputs(
+    controller: Controller,
+    plan: Float[Array, "horizon commands"],
+    given: Float[Array, "horizon given"],
+) -> Float[Array, "horizon driving"]:
+    return jax.vmap(lambda c, g: _inputs(controller, c, g))(plan, given)
+
+
+@program
+def _begin(controller: Controller, u: Array, measured: Array) -> ControlState:
+    network, known = controller.network, controller.statistics
+    x = network.init("steady", u[None])
+    y = network.step(x, u)[1]
+    d = jnp.where(jnp.isfinite(measured), measured - y, 0.0)
+    now = u[np.array(controller.commands, int)]
+    plan = jnp.broadcast_to(now[None], (controller.horizon, len(now)))
+    begun = begin_estimate(known, x, d, states=controller.observe_states)
+    return ControlState(begun, u, plan, u[_used(controller)])
+
+
+@program
+def _step(
+    controller: Controller,
+    state: ControlState,
+    measured: Array,
+    reference: Array,
+    given: Array,
+) -> tuple[ControlState, Decision]:
+    network, known = controller.network, controller.statistics
+    how = {"states": controller.observe_states}
+    now = correct(network, known, state.estimate, state.u, measured, **how)
+    before = state.u[np.array(controller.commands, int)]
+    plan, excess, solved = state.plan, jnp.zeros_like(controller.floor), True
+    for _ in range(controller.rounds):
+        plan, excess, good = improve(
+            controller, now, state.slow, before, plan, reference, given
+        )
+        solved = good & solved
+    commands = plan[0]
+    u = _inputs(controller, commands, given[0])
+    y = predict_outputs(controller, now, plan, given)
+    after = advance_estimate(network, known, now, u, **how)
+    shifted = jnp.concatenate([plan[1:], plan[-1:]])
+    slow = state.slow
+    if controller.fade is not None:
+        slow = controller.fade * slow + (1 - controller.fade) * u[_used(controller)]
+    decision = Decision(
+        commands,
+        y,
+        excess,
+        now.offset + now.fading,
+        jnp.asarray(solved) & jnp.isfinite(y).all(),
+    )
+    return ControlState(after, u, shifted, slow), decision
+
+
+def _used(controller: Controller) -> np.ndarray:
+    """Places of the inputs that the domain looks at."""
+    own = controller.domain
+    return np.array(() if own is None else own.inputs, int)
+
+
+def domain_index(
+    controller: Controller,
+    slow: Float[Array, " used"],
+    rows: Float[Array, "horizon driving"],
+) -> Float[Array, "horizon domains"]:
+    """The joint layer of the domain's index over the horizon, smooth at the middle; a
+    column, or none."""
+    if controller.domain is None or controller.fade is None:
+        return jnp.zeros((rows.shape[0], 0), rows.dtype)
+    fade, own = controller.fade, rows[:, _used(controller)]
+
+    def filtered(before, row):
+        now = fade * before + (1 - fade) * row
+        return now, now
+
+    passed = jax.lax.scan(filtered, slow, own)[1]
+    features = jnp.concatenate([own, passed], axis=1).T
+    return jnp.sqrt(ROUND_OFF + controller.domain.joint_square(features))[:, None]
+
+
+def predict_outputs(
+    controller: Controller,
+    now: Estimate,
+    plan: Float[Array, "horizon commands"],
+    given: Float[Array, "horizon given"],
+) -> Float[Array, "horizon outputs"]:
+    """The outputs over the horizon under a plan, with the errors that the observer
+    expects; where it begins with the next sample, the last inputs are held for the last
+    one."""
+    rows = _all_inputs(controller, plan, given)
+    rows = jnp.concatenate([rows, rows[-1:]])[: controller.horizon + controller.first]
+
+    def sample(x, row):
+        return controller.network.step(x, row)
+
+    y = jax.lax.scan(sample, now.x, rows)[1]
+    ahead = jnp.arange(controller.first, controller.first + controller.horizon)
+    errors = expected_errors(controller.statistics, now, ahead.astype(y.dtype))
+    return y[controller.first :] + errors
+
+
+def improve(
+    controller: Controller,
+    now: Estimate,
+    slow: Float[Array, " used"],
+    before: Float[Array, " commands"],
+    plan: Float[Array, "horizon commands"],
+    reference: Float[Array, "horizon targets"],
+    given: Float[Array, "horizon given"],
+) -> tuple[Float[Array, "horizon commands"], Float[Array, " limits"], Bool[Array, ""]]:
+    """A plan after one step of sequential quadratic programming, by how much limits
+    then give way, and whether the quadratic program was solved."""
+    # Commands are counted in their spans, outputs in their sizes.
+    blocks, size = np.array(controller.blocks), controller.size
+    span, count = controller.span, len(controller.commands)
+    of_block = np.searchsorted(blocks, np.arange(controller.horizon), side="right") - 1
+
+    def outputs(z):
+        plan = z[of_block] * span[None]
+        y = predict_outputs(controller, now, plan, given) / size[None]
+        rows = _all_inputs(controller, plan, given)
+        return (jnp.concatenate([y, domain_index(controller, slow, rows)], axis=1),) * 2
+
+    z = plan[blocks] / span[None]
+    jacobian, y = jax.jacfwd(outputs, has_aux=True)(z)
+    numbers = z.size
+    jacobian = jacobian.reshape(*y.shape, numbers)
+
+    own = np.array(controller.targets, int)
+    scale = size[own]
+    error = y[:, own] - reference / scale[None]
+    slope = jacobian[:, own]
+    pull = slope * (controller.weight / controller.horizon)[None, :, None]
+    curvature = jnp.einsum("kon,kom->nm", pull, slope)
+    gradient = jnp.einsum("kon,ko->n", pull, error)
+
+    moves = jnp.asarray(
+        np.kron(np.eye(len(blocks)) - np.eye(len(blocks), k=-1), np.eye(count)), z.dtype
+    )
+    last = jnp.zeros(numbers, z.dtype).at[:count].set(before / span)
+    change = moves @ z.ravel() - last
+    price = jnp.tile(controller.effort, len(blocks))
+    curvature = curvature + (moves.T * price[None]) @ moves
+    gradient = gradient + moves.T @ (price * change)
+    curvature = curvature + LEAST_CURVATURE * jnp.eye(numbers, dtype=z.dtype)
+
+    domain = list(range(size.shape[0], y.shape[1]))  # one column, or none
+    limits = np.array([*controller.bounded, *domain], int)
+    soft = len(limits)
+    wide = jnp.zeros((numbers + soft,) * 2, z.dtype)
+    wide = wide.at[:numbers, :numbers].set(curvature)
+    wide = wide.at[numbers:, numbers:].set(SQUARE * jnp.eye(soft, dtype=z.dtype))
+    whole = jnp.concatenate([gradient, jnp.full(soft, 0.5 * LINEAR, z.dtype)])
+
+    reach = jnp.tile(controller.move / span, len(blocks))
+    low, high = (
+        b.ravel() / jnp.tile(span, len(blocks)) for b in _bounds(controller, before)
+    )
+    eye = jnp.eye(numbers, dtype=z.dtype)
+    hard = jnp.concatenate([eye, -eye, moves, -moves])
+    hard_bound = jnp.concatenate(
+        [high - z.ravel(), z.ravel() - low, reach - change, reach + change]
+    )
+    steep = jacobian[:, limits].reshape(-1, numbers)
+    give = jnp.tile(jnp.eye(soft, dtype=z.dtype), (controller.horizon, 1))
+    own = np.array(controller.bounded, int)
+    one = jnp.ones(len(domain), size.dtype)
+    edge = (
+        jnp.concatenate([(controller.ceiling - controller.guard) / size[own], one]),
+        jnp.concatenate(
+            [(controller.floor + controller.guard) / size[own], -jnp.inf * one]
+        ),
+    )
+    near = y[:, limits]
+    above, below = (edge[0][None] - near).ravel(), (near - edge[1][None]).ravel()
+    rows = jnp.concatenate(
+        [
+            jnp.concatenate([hard, jnp.zeros((len(hard), soft), z.dtype)], 1),
+            jnp.concatenate([steep, -give], 1),
+            jnp.concatenate([-steep, -give], 1),
+            jnp.concatenate(
+                [jnp.zeros((soft, numbers), z.dtype), -jnp.eye(soft, dtype=z.dtype)], 1
+            ),
+        ]
+    )
+    bound = jnp.concatenate([hard_bound, above, below, jnp.zeros(soft, z.dtype)])
+    found = solve_quadratic(wide, whole, rows, bound, jnp.zeros_like(whole))
+    step, excess = found.z[:numbers], found.z[numbers:]
+    solved = jnp.isfinite(step).all() & (found.residual < SOLVED)
+    z = jnp.where(solved, z + step.reshape(z.shape), z)
+    return (
+        z[of_block] * span[None],
+        jnp.where(solved, excess, 0.0) * size[limits],
+        solved,
+    )

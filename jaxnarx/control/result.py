@@ -1,0 +1,117 @@
+"""What a controller has made of a plant."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxnarx.data import Channel
+from jaxnarx.formatting import align_columns, brief, page
+from jaxnarx.metrics import nrmse
+
+NEAR = 1e-9
+"""Share of a command's range within which a bound counts as reached."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class ControlledRun:
+    """Commands and outputs of a closed loop, one array per record, physical units.
+
+    `outputs` are those of the plant that the controller's network computes, without the
+    noise of `measured`; `references` those of the `targets`. `disturbances` are what
+    the observer has added to the network's outputs. `floor` and `ceiling` are limits
+    of the outputs, infinite where there is none, `low` and `high` bounds of the
+    commands. `solved` marks samples whose quadratic program was solved.
+    """
+
+    command_channels: tuple[Channel, ...]
+    output_channels: tuple[Channel, ...]
+    targets: tuple[int, ...]
+    names: tuple[str, ...]
+    sample_time: float
+    commands: tuple[Float[np.ndarray, "time commands"], ...]
+    outputs: tuple[Float[np.ndarray, "time outputs"], ...]
+    measured: tuple[Float[np.ndarray, "time outputs"], ...]
+    references: tuple[Float[np.ndarray, "time targets"], ...]
+    disturbances: tuple[Float[np.ndarray, "time outputs"], ...]
+    solved: tuple[Bool[np.ndarray, " time"], ...]
+    low: Float[np.ndarray, " commands"]
+    high: Float[np.ndarray, " commands"]
+    floor: Float[np.ndarray, " outputs"]
+    ceiling: Float[np.ndarray, " outputs"]
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the targets."""
+        return tuple(self.output_channels[o].name for o in self.targets)
+
+    def nrmse(self, skip: int = 0) -> Float[np.ndarray, " targets"]:
+        """Tracking error of every target over all records: its root mean square over
+        the standard deviation of the reference; without the first `skip` samples of
+        every record."""
+        own = list(self.targets)
+        wanted = np.concatenate([r[skip:] for r in self.references])
+        reached = np.concatenate([y[skip:, own] for y in self.outputs])
+        return np.asarray(nrmse(wanted, reached, np.isfinite(reached)))
+
+    def excess(self) -> Float[np.ndarray, "samples outputs"]:
+        """By how much outputs are beyond their limits, all samples; zero within."""
+        y = np.concatenate(self.outputs)
+        over = np.maximum(y - self.ceiling[None], self.floor[None] - y)
+        return np.maximum(over, 0.0)
+
+    def at_bounds(self) -> Float[np.ndarray, " commands"]:
+        """Share of samples in which a command stands at one of its bounds."""
+        u = np.concatenate(self.commands)
+        near = NEAR * (self.high - self.low)[None]
+        at = (u <= self.low[None] + near) | (u >= self.high[None] - near)
+        return at.mean(axis=0)
+
+    def __str__(self) -> str:
+        """Tracking errors, limits and commands."""
+        errors = self.nrmse()
+        rows = [("target", "NRMSE", "mean error", "")]
+        for k, (o, error) in enumerate(zip(self.targets, errors, strict=True)):
+            wanted = np.concatenate(self.references)[:, k]
+            mean = float(np.mean(np.concatenate(self.outputs)[:, o] - wanted))
+            own = self.output_channels[o]
+            rows.append((own.name, f"{error:.4f}", f"{mean:.3g}", own.unit))
+        parts = ["Closed loop", *align_columns(rows)]
+        over = self.excess()
+        for o, own in enumerate(self.output_channels):
+            edges = self.floor[o], self.ceiling[o]
+            if np.isfinite(edges).any():
+                told = " and ".join(
+                    f"{word} {edge:g}"
+                    for word, edge in zip(("at least", "at most"), edges, strict=True)
+                    if np.isfinite(edge)
+                )
+                unit = f" {own.unit}" if own.unit else ""
+                parts.append(
+                    f"{own.name} {told}{unit}: kept in "
+                    f"{100 * np.mean(over[:, o] == 0):.2f} % of samples, broken by "
+                    f"{over[:, o].max():.3g} at most"
+                )
+        for own, share in zip(self.command_channels, self.at_bounds(), strict=True):
+            parts.append(f"{own.name}: at a bound in {100 * share:.1f} % of samples")
+        return "\n".join(parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Figures as JSON has them."""
+        return {
+            "nrmse": dict(zip(self.target_names, self.nrmse().tolist(), strict=True)),
+            "kept": {
+                own.name: float(np.mean(self.excess()[:, o] == 0))
+                for o, own in enumerate(self.output_channels)
+                if np.isfinite([self.floor[o], self.ceiling[o]]).any()
+            },
+            "at_bounds": {
+                own.name: float(share)
+                for own, share in zip(
+                    self.command_channels, self.at_bounds(), strict=True
+                )
+            },
+        }
+
+    __repr__, _repr_html_ = brief, page

@@ -1,0 +1,257 @@
+"""Predictive control against a general solver, a plain Kalman filter, and on plants."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from calibration_problems import network_and_cycle
+from control_problems import TIME, A, B, linear, shifted, wanted
+from scipy.optimize import minimize
+
+import jaxnarx as jnx
+from jaxnarx.control import Command, OutputLimit, close_loop, mpc
+from jaxnarx.control.controller import (
+    LINEAR,
+    SQUARE,
+    domain_index,
+    predict_outputs,
+)
+from jaxnarx.control.observer import advance_estimate, correct, split_error
+from jaxnarx.errors import DataError, SpecError
+
+FREE = {"force": Command(low=-1.0, high=1.0, rate=1.0)}
+
+
+def linear_controller(**more):
+    return mpc(linear(), FREE, ["speed"], horizon=8, **more).value
+
+
+def test_a_plan_is_the_least_of_its_cost():
+    """Rounds of quadratic programs end where a general solver ends, on a network that
+    is not linear, under bounds, rates and a limit that gives way."""
+    network, _ = network_and_cycle()
+    network = dataclasses.replace(network, domain=None)
+    free = {"c": Command(low=-0.9, high=0.8, rate=0.6, effort=0.1)}
+    limit = {"heat": OutputLimit(at_most=0.1, guard=0)}
+    found = mpc(network, free, {"y": 2.0}, limit, horizon=6, rounds=12, blocks=range(6))
+    controller = found.value
+    state = controller.begin([0.3, 0.2], [0.1, 0.2])
+    reference = np.linspace(0.2, 0.5, 6)[:, None]
+    _, decision = controller.step(state, [0.1, 0.2], reference, [0.3])
+    now = correct(
+        network,
+        controller.statistics,
+        state.estimate,
+        state.u,
+        jnp.array([0.1, 0.2]),
+        states=False,
+    )
+    size, span = np.asarray(controller.size), np.asarray(controller.span)
+    run = jax.jit(
+        lambda plan: predict_outputs(
+            controller, now, plan[:, None], jnp.full((6, 1), 0.3)
+        )
+    )
+
+    def cost(z):
+        plan, excess = z[:6], z[6]
+        y = np.asarray(run(plan))
+        error = 2.0 * ((y[:, 0] - reference[:, 0]) / size[0]) ** 2
+        moves = np.diff(plan, prepend=0.2) / span[0]
+        e = excess / size[1]
+        return error.mean() + 0.1 * (moves**2).sum() + LINEAR * e + SQUARE * e**2
+
+    limits = [
+        {"type": "ineq", "fun": lambda z: z[6] + 0.1 - np.asarray(run(z[:6]))[:, 1]},
+        {"type": "ineq", "fun": lambda z: 0.3 - np.diff(z[:6], prepend=0.2)},
+        {"type": "ineq", "fun": lambda z: 0.3 + np.diff(z[:6], prepend=0.2)},
+    ]
+    start = np.append(np.full(6, 0.2), 0.2)
+    oracle = minimize(
+        cost,
+        start,
+        method="SLSQP",
+        bounds=[(-0.9, 0.8)] * 6 + [(0.0, None)],
+        constraints=limits,
+        options={"ftol": 1e-13, "maxiter": 300},
+    )
+    np.testing.assert_allclose(decision.commands[0], oracle.x[0], atol=2e-3)
+    np.testing.assert_allclose(decision.excess[0], oracle.x[6], atol=2e-3)
+
+
+def test_the_observer_is_a_kalman_filter():
+    network = linear()
+    controller = linear_controller(observe_states=True)
+    known = controller.statistics
+    names = jnx.state_space(network).names
+    state = controller.begin([0.2, -0.1], [0.1, 0.1])
+    now, u, measured = state.estimate, np.array([0.3, 0.4]), np.array([0.2, np.nan])
+    found = correct(
+        network, known, now, jnp.asarray(u), jnp.asarray(measured), states=True
+    )
+    after = advance_estimate(network, known, found, jnp.asarray(u), states=True)
+
+    form = jnx.state_space(network)
+    a, _, c, _ = (np.asarray(m) for m in form.jacobians(now.x, u))
+    n = len(names)
+    h = np.concatenate([c, np.eye(2), np.eye(2)], axis=1)[:1]
+    z = np.concatenate([now.x, now.offset, now.fading])
+    p = np.asarray(now.covariance)
+    seen = 0.2 - np.asarray(form.h(now.x, u))[0] - now.offset[0] - now.fading[0]
+    gain = p @ h.T / (h @ p @ h.T + np.asarray(known.noise)[0])
+    z, p = z + gain[:, 0] * seen, p - gain @ h @ p
+    whole = np.concatenate([found.x, found.offset, found.fading])
+    np.testing.assert_allclose(whole, z, atol=1e-8)
+    np.testing.assert_allclose(found.covariance, p, atol=1e-8)
+
+    f = np.diag(np.concatenate([np.zeros(n), np.ones(2), known.pole]))
+    f[:n, :n] = a
+    steps = np.concatenate([known.states, known.offset, known.steps])
+    np.testing.assert_allclose(
+        after.covariance, f @ p @ f.T + np.diag(steps), atol=1e-8
+    )
+
+
+def test_errors_are_split_into_noise_and_what_fades():
+    random = np.random.default_rng(0)
+    slow = np.zeros(40_000)
+    for t in range(1, len(slow)):
+        slow[t] = 0.9 * slow[t - 1] + random.normal()
+    pole, noise, steps = split_error([slow + 2 * random.normal(size=len(slow))], 1.0)
+    assert pole == pytest.approx(0.9, abs=0.02)
+    assert noise == pytest.approx(4.0, rel=0.1)
+    assert steps == pytest.approx(1.0, rel=0.2)
+
+
+@pytest.mark.parametrize("shift, strength", [(0.0, 1.0), (0.4, 1.0), (0.2, 0.7)])
+def test_no_offset_is_left(shift, strength):
+    """On the plant itself and on one that is shifted and weaker."""
+    asked = wanted(160, hold=40)
+    run = close_loop(linear_controller(), shifted(shift, strength), asked).value
+    error = run.outputs[0][:, 0] - run.references[0][:, 0]
+    ends = error.reshape(-1, 40)[:, 27:31]  # behind each step, before the next is seen
+    assert np.abs(ends).max() < 0.01
+
+
+def test_bounds_and_rates_are_kept():
+    run = close_loop(linear_controller(), shifted(0.3, 0.5), wanted()).value
+    u = np.concatenate(run.commands)[:, 0]
+    assert u.min() >= -1 - 1e-9 and u.max() <= 1 + 1e-9
+    assert np.abs(np.diff(u)).max() <= 1.0 * TIME + 1e-9
+    assert all(s.all() for s in run.solved)
+
+
+def test_a_limit_is_kept_and_gives_way_where_nothing_else_is_left():
+    limit = {"speed": OutputLimit(at_most=0.3)}
+    controller = linear_controller(limits=limit)
+    run = close_loop(controller, linear(), wanted())
+    assert run.value.outputs[0][:, 0].max() < 0.3 + 1e-6
+    assert not run.detail
+    # A plant that is shifted beyond the limit cannot keep it at first.
+    found = close_loop(controller, shifted(1.5), wanted())
+    assert found.status_name == "ok"
+    assert "speed is beyond its limit" in found.detail
+    assert found.value.to_dict()["kept"]["speed"] < 1.0
+
+
+def test_a_command_beyond_its_bounds_comes_back_by_its_rate():
+    controller = linear_controller()
+    run = close_loop(controller, linear(), wanted(), start={"force": 3.0}).value
+    u = run.commands[0][:, 0]
+    assert u[0] == pytest.approx(2.5)
+    assert np.abs(np.diff(u)).max() <= 0.5 + 1e-9
+    assert (u[5:] <= 1.0 + 1e-9).all()
+
+
+def test_it_stays_in_the_domain():
+    """Of a network with a domain the plan keeps to where it was trained."""
+    network, _ = network_and_cycle()
+    free = {"c": Command(low=-5.0, high=5.0, effort=0.0)}
+    bare = dataclasses.replace(network, domain=None)
+    last, index = [], np.zeros((1, 1))
+    for one in (network, bare):
+        controller = mpc(one, free, ["heat"], horizon=6, rounds=3).value
+        state = controller.begin([0.0, 0.0], [0.0, 0.0])
+        last.append(controller.step(state, [0.0, 0.0], [2.0], [0.0])[1].commands[0])
+        if one is network:
+            rows = jnp.stack([jnp.zeros(6), jnp.full(6, last[0])], axis=1)
+            index = domain_index(controller, state.slow, rows)
+    assert 0.8 < float(index[0, 0]) < 1.1
+    assert last[1] > 1.5 * last[0]
+
+
+def test_steps_are_pure():
+    controller = linear_controller()
+    state = controller.begin([0.0, 0.0], [0.0, 0.0])
+    _, alone = controller.step(state, [0.1, 0.0], [0.5], [0.2])
+
+    @jax.jit
+    def of(measured):
+        return controller.step(state, measured, jnp.array([0.5]), jnp.array([0.2]))[1]
+
+    many = jax.vmap(of)(jnp.array([[0.1, 0.0], [-0.3, 0.2]]))
+    np.testing.assert_allclose(many.commands[0], alone.commands, atol=1e-9)
+    # What is not measured changes nothing.
+    _, blind = controller.step(state, [np.nan, np.nan], [0.5], [0.2])
+    np.testing.assert_allclose(blind.disturbance, 0.0, atol=1e-12)
+    assert np.isfinite(blind.commands).all()
+
+
+def test_it_follows_a_linear_plant_as_its_inverse_would():
+    """Without bounds and prices the next sample is the reference."""
+    free = {"force": Command(low=-9.0, high=9.0, effort=0.0)}
+    controller = mpc(linear(), free, ["speed"], horizon=1).value
+    state = controller.begin([0.0, 0.0], [0.0, 0.0])
+    _, decision = controller.step(state, [0.0, 0.0], [0.4], [0.2])
+    x = 0.0 * A[0, 0]
+    assert decision.commands[0] == pytest.approx((0.4 - x - B[0, 1] * 0.2) / B[0, 0])
+
+
+def test_the_run_prints_and_saves_its_figures():
+    run = close_loop(linear_controller(), linear(), wanted()).value
+    assert "speed" in str(run) and "at a bound" in str(run)
+    assert run.to_dict()["nrmse"]["speed"] < 0.5
+    assert run.target_names == ("speed",)
+
+
+def test_what_makes_no_sense_is_refused():
+    network = linear()
+    with pytest.raises(SpecError, match="unknown commands 'forces'"):
+        mpc(network, {"forces": Command()}, ["speed"])
+    with pytest.raises(SpecError, match="unknown targets 'spead'"):
+        mpc(network, FREE, ["spead"])
+    with pytest.raises(SpecError, match="unknown limits"):
+        mpc(network, FREE, ["speed"], {"x": OutputLimit(at_most=1)})
+    with pytest.raises(SpecError, match="horizon must be at least 1"):
+        mpc(network, FREE, ["speed"], horizon=0)
+    with pytest.raises(SpecError, match="blocks must rise from 0"):
+        mpc(network, FREE, ["speed"], blocks=(1, 2))
+    with pytest.raises(SpecError, match="leave no room"):
+        mpc(network, {"force": Command(low=2.0)}, ["speed"])
+    with pytest.raises(SpecError, match="low < high"):
+        Command(low=1.0, high=0.0)
+    with pytest.raises(SpecError, match="at_least < at_most"):
+        OutputLimit(at_most=0.0, at_least=1.0)
+    with pytest.raises(SpecError, match="at least one command"):
+        mpc(network, {}, ["speed"])
+
+
+def test_references_and_plants_that_do_not_fit_are_refused():
+    controller, asked = linear_controller(), wanted()
+    with pytest.raises(DataError, match="resample"):
+        slow = jnx.Dataset.from_arrays(
+            np.zeros(30), np.zeros(30), inputs="load", outputs="speed", sample_time=1.0
+        )
+        close_loop(controller, linear(), slow)
+    with pytest.raises(DataError, match="lack load"):
+        bare = jnx.Dataset.from_arrays(
+            np.zeros(30), np.zeros(30), inputs="z", outputs="speed", sample_time=TIME
+        )
+        close_loop(controller, linear(), bare)
+    with pytest.raises(SpecError, match="the plant has no output 'speed'"):
+        other = network_and_cycle()[0]
+        close_loop(controller, other, asked)
+    with pytest.raises(SpecError, match="noise names 'z'"):
+        close_loop(controller, linear(), asked, noise={"z": 1.0})
