@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.calibration import AbstractPlant, as_plant
+from jaxnarx.checks import require_known
 from jaxnarx.control.controller import Controller
 from jaxnarx.control.result import ControlledRun
 from jaxnarx.data import Dataset, Record
@@ -81,10 +82,12 @@ def close_loop(
             f"the references have a sample every {references.sample_time:g} s, the "
             f"controller one every {own:g} s; resample them"
         )
-    spread = {} if noise is None else noise
+    spread, begun = ({} if given is None else given for given in (noise, start))
     for name in spread:
-        if name not in names:
-            raise SpecError(f"noise names {name!r}, no output", field="noise")
+        require_known(name, names, "noise", f"noise names {name!r}, no output")
+    for name in begun:
+        told = f"start names {name!r}, no command"
+        require_known(name, controller.command_names, "start", told)
     places = (
         tuple(body.outputs.index(n) for n in names),
         tuple(body.inputs.index(n) for n in controller.command_names),
@@ -93,7 +96,7 @@ def close_loop(
     longest = max(len(r) for r in references)
     tracks = []
     for record in references:
-        rows, first = _rows(controller, body, references, record, start)
+        rows, first = _rows(controller, body, references, record, begun)
         own_noise = np.array([float(spread.get(n, 0.0)) for n in names])
         drawn = random.normal(size=(len(record), len(names))) * own_noise[None]
         padded = _Rows(*(_pad(a, longest) for a in (*rows, drawn)))
@@ -197,7 +200,7 @@ def _rows(
     plant: AbstractPlant,
     data: Dataset,
     record: Record,
-    start: Mapping[str, float | int] | None,
+    start: Mapping[str, float | int],
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
     """References, given inputs, inputs of the plant (zeros for commands), and the
     commands to begin with."""
@@ -216,7 +219,7 @@ def _rows(
     first = []
     middle = (np.asarray(controller.low) + np.asarray(controller.high)) / 2
     for name, rest in zip(commands, middle, strict=True):
-        if start is not None and name in start:
+        if name in start:
             first.append(float(start[name]))
         elif name in data.channels.names:
             first.append(float(_column(data, record, name, "a command")[0]))
@@ -253,6 +256,7 @@ def _summarise(
         solved=solved,
         low=np.asarray(controller.low),
         high=np.asarray(controller.high),
+        move=np.asarray(controller.move),
         floor=floor,
         ceiling=ceiling,
     )

@@ -22,7 +22,8 @@ class ControlledRun:
     noise of `measured`; `references` those of the `targets`. `disturbances` are what
     the observer has added to the network's outputs. `floor` and `ceiling` are limits
     of the outputs, infinite where there is none, `low` and `high` bounds of the
-    commands. `solved` marks samples whose quadratic program was solved.
+    commands, `move` their largest change a sample. `solved` marks samples whose
+    quadratic program was solved.
     """
 
     command_channels: tuple[Channel, ...]
@@ -38,6 +39,7 @@ class ControlledRun:
     solved: tuple[Bool[np.ndarray, " time"], ...]
     low: Float[np.ndarray, " commands"]
     high: Float[np.ndarray, " commands"]
+    move: Float[np.ndarray, " commands"]
     floor: Float[np.ndarray, " outputs"]
     ceiling: Float[np.ndarray, " outputs"]
 
@@ -61,12 +63,31 @@ class ControlledRun:
         over = np.maximum(y - self.ceiling[None], self.floor[None] - y)
         return np.maximum(over, 0.0)
 
+    @property
+    def command_names(self) -> tuple[str, ...]:
+        """Names of the commands."""
+        return tuple(c.name for c in self.command_channels)
+
+    @property
+    def at_range(self) -> tuple[Bool[np.ndarray, "time commands"], ...]:
+        """Where a command stands at one of its bounds, by record."""
+        near = NEAR * (self.high - self.low)[None]
+        return tuple(
+            (u <= self.low[None] + near) | (u >= self.high[None] - near)
+            for u in self.commands
+        )
+
+    @property
+    def at_rate(self) -> tuple[Bool[np.ndarray, "time commands"], ...]:
+        """Where a command moves as fast as it may, by record."""
+        most = (self.move - NEAR * (self.high - self.low))[None]
+        return tuple(
+            np.abs(np.diff(u, axis=0, prepend=u[:1])) >= most for u in self.commands
+        )
+
     def at_bounds(self) -> Float[np.ndarray, " commands"]:
         """Share of samples in which a command stands at one of its bounds."""
-        u = np.concatenate(self.commands)
-        near = NEAR * (self.high - self.low)[None]
-        at = (u <= self.low[None] + near) | (u >= self.high[None] - near)
-        return at.mean(axis=0)
+        return np.concatenate(self.at_range).mean(axis=0)
 
     def __str__(self) -> str:
         """Tracking errors, limits and commands."""

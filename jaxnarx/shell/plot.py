@@ -165,23 +165,26 @@ def compare(
 
 
 def tracking(
-    ways: Solution[Tracking] | Mapping[str, Solution[Tracking]],
+    ways: Solution[Any] | Mapping[str, Solution[Any]],
     references: Dataset,
     *,
     record: int = 0,
 ) -> Figure:
-    """Draw what cascades make of a record of references, and their commands.
+    """Draw what cascades and controllers make of a record of references, and their
+    commands.
 
-    `ways` are what `jnx.inverse.cascade` returned for `references`, by name; one alone
-    is welcome.
+    `ways` are what `jnx.inverse.cascade` and `jnx.control.close_loop` returned for
+    `references`, by name; one alone is welcome.
     """
     if record not in range(len(references)):
         raise SpecError(
             f"record must be from 0 to {len(references) - 1}, got {record}",
             field="record",
         )
-    named = {"inverse": ways} if isinstance(ways, Solution) else ways
-    return draw_tracking(named, float(references.sample_time), record=record)
+    if isinstance(ways, Solution):
+        alone = "inverse" if isinstance(ways.value, Tracking) else "controller"
+        ways = {alone: ways}
+    return draw_tracking(ways, float(references.sample_time), record=record)
 
 
 def selection_path(selection: Selection, *, output: str | None = None) -> Figure:

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import hidden_problems
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -255,3 +256,24 @@ def test_references_and_plants_that_do_not_fit_are_refused():
         close_loop(controller, other, asked)
     with pytest.raises(SpecError, match="noise names 'z'"):
         close_loop(controller, linear(), asked, noise={"z": 1.0})
+    with pytest.raises(SpecError, match="start names 'load', no command"):
+        close_loop(controller, linear(), asked, start={"load": 1.0})
+
+
+def test_hidden_states_are_estimated():
+    """A plant that begins with other hidden states than the controller believes."""
+    network = hidden_problems.network("plain")
+    found = mpc(network, {"a": Command(low=-4.0, high=4.0)}, ["y"], horizon=8)
+    assert "hidden states are estimated" in found.detail
+    assert found.value.observe_states
+    reference = np.repeat([4.0, 6.0, 5.0], 25)
+    asked = jnx.Dataset.from_arrays(
+        np.full(75, 0.2),
+        reference,
+        inputs="b",
+        outputs="y",
+        sample_time=float(network.sample_time),
+    )
+    run = close_loop(found.value, network, asked, start={"a": 1.0}).value
+    error = run.outputs[0][:, 0] - reference
+    assert np.abs(error.reshape(3, 25)[:, 12:15]).max() < 0.05

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jaxnarx.control import ControlledRun
 from jaxnarx.inverse import Tracking
 from jaxnarx.shell.figures.style import (
     COLOUR_CYCLE,
@@ -16,18 +17,21 @@ from jaxnarx.shell.figures.style import (
 )
 from jaxnarx.solution import Solution
 
+Followed = Tracking | ControlledRun
+
 MAX_SAMPLES_SHOWN = 600
 """Samples shown of a record; longer ones are cut, not thinned."""
 
 
 def draw_tracking(
-    ways: Mapping[str, Solution[Tracking]], sample_time: float, *, record: int = 0
+    ways: Mapping[str, Solution[Followed]], sample_time: float, *, record: int = 0
 ) -> Figure:
-    """One record of cascades that follow the same references, one panel a signal.
+    """One record of loops that follow the same references, one panel a signal.
 
-    `ways` are cascades by name, such as the direct and the trained inverse. Targets
+    `ways` are cascades, such as the direct and the trained inverse, and closed loops by
+    name. Targets
     first, with the reference in ink and the NRMSE over all records in the legend (or
-    that the cascade diverges), then commands, the samples marked at which a limit holds
+    that the loop diverges), then commands, the samples marked at which a limit holds
     them.
     """
     first = next(iter(ways.values())).value
@@ -56,7 +60,7 @@ def draw_tracking(
 
 
 def _command(
-    ax: Axes, time: np.ndarray, value: Tracking, record: int, c: int, colour, way: str
+    ax: Axes, time: np.ndarray, value: Followed, record: int, c: int, colour, way: str
 ) -> None:
     length = len(time)
     moved = value.commands[record][:length, c]
