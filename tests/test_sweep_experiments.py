@@ -163,3 +163,13 @@ def test_engines_are_steered(tmp_path):
     told = json.loads(path.read_text())["figures"]["summary"]
     assert told["pfi, duty, engine"]["speed"]["median"] < 1.0
     assert told["pfi, duty, constant references"]["speed, left"]["worst"] < 0.2
+
+
+@pytest.mark.slow
+def test_a_step_of_control_is_timed_beside_ipopt(tmp_path):
+    pytest.importorskip("casadi")
+    experiment("control/speed.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "control_speed.json").read_text())["figures"]
+    near = figures["first command from IPOPT's, shares of its range, one round"]
+    assert near["median"] < 0.05
+    assert figures["IPOPT over ours, from Python"] > 0
