@@ -13,6 +13,8 @@ EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 RESULTS = EXPERIMENTS / "benchmarks" / "results"
 ELSEWHERE = (
     "bouc_wen",
+    "control_speed",
+    "control_tracking",
     "coverage",
     "coverage_coloured",
     "gengine1_identify",
@@ -32,6 +34,7 @@ def made() -> dict[str, str]:
         "_gengine1.md": gengine1,
         "_open_sets.md": open_sets,
         "_public.md": public,
+        "_control.md": control,
         "_recovery.md": recovery,
         "_nelles.md": nelles,
         "_gains.md": gains,
@@ -194,6 +197,41 @@ def public() -> str:
             rows.append([name, *map(number, found), best])
     head = ["set, part [unit]", *columns, "published, best found"]
     return table(head, rows) + source(path)
+
+
+CONTROLLED = {
+    "engine": "the engine of the records",
+    "without preview": "the same, references known as they come",
+    "sisters": "engines with other parameters",
+    "sisters, constant": "these, at the end of constant references",
+}
+
+
+def control() -> str:
+    """Virtual engines steered by a network of their records, and what a step takes."""
+    path = RESULTS / "control_tracking.json"
+    rows = []
+    for title, told in loaded(path)["figures"]["summary"].items():
+        at = next((k for k in CONTROLLED if title.endswith(f", {k}")), None)
+        if at is None:
+            continue
+        for name, value in told.items():
+            left = name.endswith(", left")
+            if name in SILENT_OF_CONTROL or left != (at == "sisters, constant"):
+                continue
+            cells = number(value["median"]), number(value["worst"])
+            task = title.removesuffix(f", {at}")
+            rows.append([task, CONTROLLED[at], name.removesuffix(", left"), *cells])
+    head = ["bed and commands", "steered", "target", "median", "worst"]
+    speed = RESULTS / "control_speed.json"
+    timed = loaded(speed)["figures"]
+    times = [[name, number(v)] for name, v in timed.items() if isinstance(v, float)]
+    tracked = table(head, rows) + source(path)
+    return tracked + "\n" + table(["a sample", ""], times) + source(speed)
+
+
+SILENT_OF_CONTROL = ("seconds", "largest excess")
+"""Figures that the table leaves out."""
 
 
 def recovery() -> str:
