@@ -67,7 +67,8 @@ def mpc(
 
     Returns:
         `value` is the `Controller`. `detail` tells what is to be known before it is
-        used: no certificate, hidden states, commands without an effect.
+        used: no certificate, hidden states, commands without an effect, or that
+            may leave the range of the training.
 
     Raises:
         SpecError: channels that the network does not have, or that are named twice;
@@ -96,6 +97,12 @@ def mpc(
     ):
         for name in given:
             require_known(name, known, field)
+    for name, weight in weights.items():
+        if not 0 < weight < np.inf:
+            raise SpecError(
+                f"the weight of {name} must be positive and finite, got {weight:g}",
+                field="targets",
+            )
     places = _places_of_blocks(horizon, blocks)
     if rounds < 1:
         raise SpecError(f"rounds must be at least 1, got {rounds}", field="rounds")
@@ -239,9 +246,18 @@ def _remarks(controller: Controller) -> str:
     """What is to be known before the controller is used."""
     network = controller.network
     told = []
-    recursive = network.parallel or any(
-        s in network.signals for s, _ in tables(network)
-    )
+    looked_at = {s for s, _ in tables(network)}
+    low, high = np.asarray(network.low), np.asarray(network.high)
+    for k, name in enumerate(controller.command_names):
+        at = _signal(network, name)
+        if at not in looked_at:
+            told.append(f"nothing depends on {name}, which is to be set")
+        elif controller.low[k] < low[at] or controller.high[k] > high[at]:
+            told.append(
+                f"{name} may leave the range of the training, {low[at]:.4g} to "
+                f"{high[at]:.4g}: the network guesses there"
+            )
+    recursive = network.parallel or looked_at & set(network.signals)
     if recursive and network.certificate is None:
         told.append(
             "nothing proves that the network's free run is stable (no certificate): "

@@ -239,6 +239,15 @@ def test_what_makes_no_sense_is_refused():
         mpc(network, {}, ["speed"])
 
 
+def test_what_is_to_be_known_is_said():
+    network = linear()
+    wide = mpc(network, {"force": Command(high=3.0)}, ["speed"]).detail
+    assert "force may leave the range of the training" in wide
+    assert "no certificate" in wide
+    with pytest.raises(SpecError, match="the weight of speed must be positive"):
+        mpc(network, FREE, {"speed": -1.0})
+
+
 def test_references_and_plants_that_do_not_fit_are_refused():
     controller, asked = linear_controller(), wanted()
     with pytest.raises(DataError, match="resample"):

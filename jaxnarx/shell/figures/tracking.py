@@ -1,6 +1,7 @@
 """References, what follows them, and the commands behind it (thesis figure 7.14)."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,7 +25,7 @@ MAX_SAMPLES_SHOWN = 600
 
 
 def draw_tracking(
-    ways: Mapping[str, Solution[Followed]], sample_time: float, *, record: int = 0
+    ways: Mapping[str, Solution[Any]], sample_time: float, *, record: int = 0
 ) -> Figure:
     """One record of loops that follow the same references, one panel a signal.
 
