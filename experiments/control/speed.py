@@ -1,4 +1,4 @@
-"""What one sample of predictive control takes, beside IPOPT on the same problem.
+"""Times of one sample of predictive control, beside IPOPT on the same problem.
 
 The network of the turbocharged engine of `tracking.py` (torque and lambda by spark and
 throttle, a horizon of 20 samples, no limits of outputs): 200 samples of a record are

@@ -22,8 +22,8 @@ Arrays = Array | np.ndarray
 
 
 class _Rows(NamedTuple):
-    """What is known of every sample: references, given inputs of the controller, inputs
-    of the plant, noise of the sensors."""
+    """Rows of a record: references, given inputs of the controller, inputs of the
+    plant, noise of the sensors."""
 
     reference: Float[Arrays, "time targets"]
     given: Float[Arrays, "time given"]
@@ -62,7 +62,7 @@ def close_loop(
     Returns:
         `value` is the `ControlledRun`. `stats`: `nrmse` of every target. Status `ok`;
         `diverged` where the plant's outputs are not finite. `detail` names limits that
-        were broken and commands that stood at their bounds.
+        were broken, and counts programs without a solution.
 
     Raises:
         SpecError: the plant lacks an output of the network, or a command.

@@ -222,7 +222,7 @@ def _fade(network: Network) -> Float[Array, " used"] | None:
 def _statistics(
     network: Network, records: Dataset | None, size: Float[np.ndarray, " outputs"]
 ) -> ErrorStatistics:
-    """What the observer knows of errors."""
+    """Pole and variances of the free run's errors, for the observer."""
     kind = network.gain.dtype
     states = (STATE_NOISE * np.asarray(state_sizes(network))) ** 2
     if records is None:
@@ -243,7 +243,7 @@ def _statistics(
 
 
 def _remarks(controller: Controller) -> str:
-    """What is to be known before the controller is used."""
+    """Remarks before the controller is used."""
     network = controller.network
     told = []
     looked_at = {s for s, _ in tables(network)}

@@ -49,7 +49,7 @@ SOLVED = 1e4 * TOLERANCE
 
 
 class ControlState(NamedTuple):
-    """What a controller remembers from sample to sample.
+    """The memory of a controller from sample to sample.
 
     `estimate` is that of the plant before the next sample, `u` are the inputs of the
     last one, `plan` the commands that were planned from the next one on, `slow` the
@@ -63,7 +63,7 @@ class ControlState(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What a controller has decided at one sample.
+    """The decision of a controller at one sample.
 
     `commands` are to be set, `outputs` what is expected over the horizon, `excess`
     by how much each limit is expected to give way at most, in the output's unit,
@@ -402,8 +402,6 @@ def improve(
     step, excess = found.z[:numbers], found.z[numbers:]
     solved = jnp.isfinite(step).all() & (found.residual < SOLVED)
     z = jnp.where(solved, z + step.reshape(z.shape), z)
-    return (
-        z[of_block] * span[None],
-        jnp.where(solved, excess, 0.0) * size[limits],
-        solved,
-    )
+    # The domain's is no limit of an output.
+    excess = jnp.where(solved, excess, 0.0)[: len(own)] * size[own]
+    return z[of_block] * span[None], excess, solved

@@ -176,6 +176,8 @@ def test_it_stays_in_the_domain():
         controller = mpc(one, free, ["heat"], horizon=6, rounds=3).value
         state = controller.begin([0.0, 0.0], [0.0, 0.0])
         last.append(controller.step(state, [0.0, 0.0], [2.0], [0.0])[1].commands[0])
+        decision = controller.step(state, [0.0, 0.0], [2.0], [0.0])[1]
+        assert decision.excess.shape == (0,)  # the domain's is none of them
         if one is network:
             rows = jnp.stack([jnp.zeros(6), jnp.full(6, last[0])], axis=1)
             index = domain_index(controller, state.slow, rows)
