@@ -12,6 +12,7 @@ from typing import Any
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 RESULTS = EXPERIMENTS / "benchmarks" / "results"
 ELSEWHERE = (
+    "adaptation",
     "bouc_wen",
     "control_speed",
     "control_tracking",
@@ -35,6 +36,7 @@ def made() -> dict[str, str]:
         "_open_sets.md": open_sets,
         "_public.md": public,
         "_control.md": control,
+        "_adaptation.md": adaptation,
         "_recovery.md": recovery,
         "_nelles.md": nelles,
         "_gains.md": gains,
@@ -228,6 +230,34 @@ def control() -> str:
     times = [[name, number(v)] for name, v in timed.items() if isinstance(v, float)]
     tracked = table(head, rows) + source(path)
     return tracked + "\n" + table(["a sample", ""], times) + source(speed)
+
+
+def adaptation() -> str:
+    """Free-run errors before and after adaptation, and what it takes in C."""
+    path = RESULTS / "adaptation.json"
+    told, rows = loaded(path)["figures"], []
+    for bed, ways in told["summary"].items():
+        for output in ways["as it was"]:
+            cells = (number(ways[w][output]) for w in ADAPTED)
+            rows.append([bed, output, *cells])
+    tables = table(["engine", "output", *ADAPTED], rows) + source(path)
+    ratios = [[bed, *_ratio(ways["ratio"])] for bed, ways in told["summary"].items()]
+    head = ["engine", "median ratio", "worst", "at most 1.2"]
+    tables += "\n" + table(head, ratios) + source(path)
+    timed = [
+        [way, *(number(v) for v in one.values())]
+        for way, one in told["c"].items()
+        if isinstance(one, dict)
+    ]
+    names = next(one for one in told["c"].values() if isinstance(one, dict))
+    return tables + "\n" + table(["in C", *names], timed) + source(path)
+
+
+ADAPTED = "as it was", "adapted", "local", "identified anew"
+
+
+def _ratio(told: dict[str, Any]) -> list[str]:
+    return [number(told["median"]), number(told["worst"]), told["at most 1.2"]]
 
 
 SILENT_OF_CONTROL = ("seconds", "largest excess")

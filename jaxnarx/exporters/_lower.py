@@ -6,7 +6,7 @@ has it from here.
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from jaxnarx.exporters.form import (
     WEIGHTS,
     Builder,
     DelayLine,
+    LearntOutput,
     Port,
     SampleProgram,
     StateValue,
@@ -51,6 +52,7 @@ def lower(
     index: bool = True,
     level: float | None = None,
     slopes: bool = True,
+    learnable: bool = False,
 ) -> SampleProgram:
     """The program of a network.
 
@@ -58,7 +60,8 @@ def lower(
     with an error model and a `level`, `half_` and an output's name: half of its
     prediction interval of that probability. `SpecError` where it has a validity
     function that is not known here, or is asked for intervals without an error model.
-    Without `slopes` the program has no `jacobian`.
+    Without `slopes` the program has no `jacobian`; if it is `learnable`, it has
+    `regressions`.
     """
     known = network.domain is not None
     if level is not None and (network.errors is None or not known):
@@ -68,7 +71,12 @@ def lower(
             field="level",
         )
     lowering = _Lowering(network, name)
-    return lowering.program(index=index and known, level=level, slopes=slopes)
+    program = lowering.program(index=index and known, level=level, slopes=slopes)
+    if not learnable:
+        return program
+    found = lowering.regressions()  # its operations join those of the program
+    ops = tuple(lowering.b.ops)
+    return dataclasses.replace(program, ops=ops, regressions=found)
 
 
 @dataclasses.dataclass
@@ -81,6 +89,17 @@ class _Line:
     length: int = 0
 
 
+class _LoweredModels(NamedTuple):
+    """Local models of an output: entries in its table of coefficients and the terms
+    they multiply, weights and what these are divided by, and the output by them."""
+
+    entries: list[tuple[int, ...]]
+    terms: list[tuple[Value, ...]]
+    weights: list[Value]
+    total: Value | None
+    value: Value
+
+
 class _Lowering:
     def __init__(self, network: Network, name: str) -> None:
         self.network, self.name = network, name
@@ -89,6 +108,7 @@ class _Lowering:
         self.states: dict[str, StateValue] = {}
         self.rest: dict[Value, Value] = {}
         self.cascades: dict[tuple, str] = {}
+        self.local: list[_LoweredModels] = []
         self.gain = np.asarray(network.gain, float)
         self.low, self.high = (
             np.asarray(a, float) for a in (network.low, network.high)
@@ -342,14 +362,20 @@ class _Lowering:
             for g in range(len(own)):
                 group = f"{name}_group{g + 1}"
                 self.lines[f"y_{group}"] = self._measured_line(o, group, g)
-        local = []
+        local: list[Value] = []
+        entries: list[tuple[int, ...]] = []
+        terms: list[tuple[Value, ...]] = []
         with b.purpose(TERMS):
             for m in range(len(active)):
-                parts = [
-                    b.mul(table[m, k], self._term(factor[n], o, group_of.get(m)))
-                    for k, n in enumerate(used)
-                    if dense[m, k] != 0
-                ]
+                own_columns = np.flatnonzero(dense[m]).tolist()
+                entries.append(tuple(m * len(used) + k for k in own_columns))
+                terms.append(
+                    tuple(
+                        self._term(factor[used[k]], o, group_of.get(m))
+                        for k in own_columns
+                    )
+                )
+                parts = map(b.mul, table[m, own_columns], terms[m])
                 local.append(b.add(*parts))
         squared: list[tuple[Value, Value]] = []
         inside: set[int] = set()
@@ -369,7 +395,36 @@ class _Lowering:
                 p for m, p in enumerate(zip(phi, local, strict=True)) if m not in inside
             ]
             blend = b.add(*(b.mul(*pair) for pair in (*plain, *squared)))
-            return blend if total is None else b.op("div", blend, total)
+            value = blend if total is None else b.op("div", blend, total)
+        self.local.append(_LoweredModels(entries, terms, phi, total, value))
+        return value
+
+    def regressions(self) -> tuple[LearntOutput, ...]:
+        """What the coefficients of every output are learnt from."""
+        b, network, found = self.b, self.network, []
+        low, high = (np.asarray(a, float) for a in (network.lower, network.upper))
+        for o, one in enumerate(self.local):
+            shares = one.weights
+            if one.total is not None:
+                shares = [b.op("div", w, one.total) for w in shares]
+            gain = float(self.gain[network.signals[o]])
+            scaled = b.mul(b.op("measured", source=o), b.const(1 / gain))
+            zero = b.const(0.0)
+            found.append(
+                LearntOutput(
+                    f"theta_{self.names[o]}",
+                    tuple(one.entries),
+                    tuple(one.terms),
+                    tuple(shares),
+                    one.value,
+                    float(low[o]),
+                    float(high[o]),
+                    gain,
+                    self.entrance.measured_output(o, scaled, zero),
+                    self.entrance.measured_output(o, b.const(1.0), zero),
+                )
+            )
+        return tuple(found)
 
     def _squares(self, o: int, group: int) -> bool:
         """Whether a group computes a root of its output."""

@@ -36,7 +36,8 @@ def sources(program: SampleProgram, golden: Golden) -> Files:
     }
 
 
-def _syntax(program: SampleProgram) -> Syntax:
+def c_syntax(program: SampleProgram) -> Syntax:
+    """The syntax of C for this program."""
     name = program.name
 
     def number(x: float) -> str:
@@ -198,7 +199,7 @@ def _port(port: Port) -> str:
 
 def _source(program: SampleProgram) -> str:
     name, upper = program.name, program.name.upper()
-    syntax = _syntax(program)
+    syntax = c_syntax(program)
     kinds = {op.kind for op in program.ops}
     functions = [f for f in ("exp", "sqrt") if f in kinds]
     lines = [
@@ -238,39 +239,41 @@ def _source(program: SampleProgram) -> str:
         "{",
         *_void_unused(program, program.observe, ("measured", "y"), ("input", "u")),
         *statements(program, program.observe, syntax),
-        *_store_states(program, syntax, measured=True),
+        *store_lines(program, syntax, measured=True),
         "}",
         "",
         f"void {name}_step({arguments}, {name}_out *out)",
         "{",
         *_void_unused(program, program.step, ("input", "u")),
         *statements(program, program.step, syntax),
-        *(
-            f"    out->{field}[{k}] = {value_text(program, n, syntax)};"
-            for field, values in (("reported", program.outputs), ("fed", program.fed))
-            for k, n in enumerate(values)
-        ),
-        *(
-            line
-            for k, n in enumerate(program.limited)
-            for line in (
-                f"    out->limited[{k}] = 0;",
-                f"    if ({value_text(program, n, syntax)} > {syntax.number(0.5)}) {{",
-                f"        out->limited[{k}] = 1;",
-                "    }",
-            )
-        ),
-        *(
-            f"    out->{flag} = {value_text(program, n, syntax)};"
-            for flag, n in program.flags.items()
-        ),
-        *_store_states(program, syntax, measured=False),
+        *told_lines(program, syntax),
+        *store_lines(program, syntax, measured=False),
         "}",
         "",
         *starts(program, syntax),
         *_jacobian(program, syntax),
     ]
     return "\n".join(lines) + "\n"
+
+
+def told_lines(program: SampleProgram, syntax: Syntax) -> list[str]:
+    """What is told of a sample: `out` is filled."""
+    lines = [
+        f"    out->{field}[{k}] = {value_text(program, n, syntax)};"
+        for field, values in (("reported", program.outputs), ("fed", program.fed))
+        for k, n in enumerate(values)
+    ]
+    for k, n in enumerate(program.limited):
+        lines += [
+            f"    out->limited[{k}] = 0;",
+            f"    if ({value_text(program, n, syntax)} > {syntax.number(0.5)}) {{",
+            f"        out->limited[{k}] = 1;",
+            "    }",
+        ]
+    flags = program.flags.items()
+    return lines + [
+        f"    out->{flag} = {value_text(program, n, syntax)};" for flag, n in flags
+    ]
 
 
 def _table(name: str, table: ParameterTable) -> list[str]:
@@ -322,9 +325,7 @@ def _fill_lines(program: SampleProgram, syntax: Syntax) -> list[str]:
     ]
 
 
-def _store_states(
-    program: SampleProgram, syntax: Syntax, *, measured: bool
-) -> list[str]:
+def store_lines(program: SampleProgram, syntax: Syntax, *, measured: bool) -> list[str]:
     """Every value first, then the assignments: sources may be states themselves."""
     lines, real = [], f"{program.name}_real"
     if any(d.length > 1 for d in program.delays):

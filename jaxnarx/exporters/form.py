@@ -101,6 +101,28 @@ class Port:
 
 
 @dataclasses.dataclass(frozen=True)
+class LearntOutput:
+    """What the coefficients of one output are learnt from, sample by sample.
+
+    `entries` are places in the flattened `table` of coefficients and `terms` what these
+    multiply, local model by local model; `shares` are the models' weights. `value` is
+    the output by them, before its bounds `low` and `high`, and `measured` what was
+    measured, 0 where it is not `there`; all divided by the gain.
+    """
+
+    table: str
+    entries: tuple[tuple[int, ...], ...]
+    terms: tuple[tuple[Value, ...], ...]
+    shares: tuple[Value, ...]
+    value: Value
+    low: float
+    high: float
+    gain: float
+    measured: Value
+    there: Value
+
+
+@dataclasses.dataclass(frozen=True)
 class SampleProgram:
     """The program of one sample of a model: inputs, operations and states.
 
@@ -112,7 +134,8 @@ class SampleProgram:
     begin a run, if there are any. `notes` are paragraphs for callers of the code, which
     stand in the comments of every target. `precision` says which of the number types of
     C the source may be compiled in. `changed` names the tables that differ from those
-    of the model that a unit holds already; None: no such model is known.
+    of the model that a unit holds already; None: no such model is known. `regressions`
+    are those of the outputs, where they were asked for.
     """
 
     name: str
@@ -134,6 +157,7 @@ class SampleProgram:
     notes: tuple[str, ...] = ()
     precision: str = BOTH
     changed: frozenset[str] | None = None
+    regressions: tuple[LearntOutput, ...] = ()
 
     def needed_operations(self, values: Iterable[Value]) -> list[Value]:
         """The operations that these values take, in order."""

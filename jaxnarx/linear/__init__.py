@@ -4,6 +4,7 @@ squares; state-space models, linear and with products of their states.
 
 from jaxnarx.docstrings import document
 from jaxnarx.linear._adapt import adapt
+from jaxnarx.linear._export_adaptation import export_adaptation
 from jaxnarx.linear._innovations import Innovations, innovations
 from jaxnarx.linear._nonlinearity import NonlinearityCheck, nonlinearity
 from jaxnarx.linear._spectra import Spectra, spectra
@@ -60,6 +61,7 @@ __all__ = [
     "Spectra",
     "TransferFunction",
     "adapt",
+    "export_adaptation",
     "extended_least_squares",
     "fit_linear",
     "fit_noise",

@@ -14,9 +14,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.arrays import past_outputs
+from jaxnarx.arrays import past_outputs, usable
+from jaxnarx.confidence import domain
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError
 from jaxnarx.linear.adapt_program import (
@@ -48,7 +50,8 @@ def adapt(
 
     Coefficients and their covariance pass from record to record; samples that are
     missing, or whose lags are, count for nothing. A sample is *frozen* where the error
-    lies in the dead zone or where it brings too little news, *held* where its news
+    lies in the dead zone or where it brings too little news, not used outside of the
+    domain (`Recursive.largest_index`), *held* where its news
     count but nothing is forgotten, the covariance being at its bound: a constant input
     then neither moves the coefficients nor makes them jump when it moves again.
 
@@ -58,9 +61,10 @@ def adapt(
     window before was undone too, to those of the start, and the covariance begins anew.
 
     `stats`, with a row for every window: `rmse` and `rmse_start` (windows, outputs) in
-    physical units, `history` (one array per output: windows, models, slots; scaled
-    coefficients as the network holds them), `undone`; per output the numbers of
-    `samples`, `frozen`, `held` and `restarts`.
+    physical units, `drift`, the root mean square difference of both predictions, and
+    `history` (one array per output: windows, models, slots; scaled coefficients as the
+    network holds them), `undone`; per output the numbers of `samples`, `frozen`, `held`
+    and `restarts`; and how many samples are `outside` of the domain.
 
     Status `no_improvement` where a window was undone, `stalled` where all of one output
     were, `unidentifiable` where not one sample was used. No usable sample: `DataError`.
@@ -71,28 +75,47 @@ def adapt(
     plan = make_plan(network, method)
     matched = match_records(network, data)
     simulated = method.regressors == "simulated"
-    samples = _samples(network, matched, method.window, simulated)
+    known = _inside(network, matched, method.largest_index)
+    samples = _samples(network, matched, known, method.window, simulated)
     dtype = samples.v.dtype
     limits = Limits(*(jnp.asarray(getattr(method, f), dtype) for f in Limits._fields))
     theta, record = adapt_windows(network, plan, samples, limits, simulated)
     value = place(network, plan, theta)
-    stats = _stats(network, record)
+    stats = _stats(network, record) | {"outside": np.count_nonzero(~known)}
     return Solution(value, *_status(network, stats))
 
 
+def _inside(
+    network: Network, data: Dataset, largest: float | None
+) -> Bool[np.ndarray, "records time"]:
+    """Samples at which the network's domain knows the inputs."""
+    longest = max(len(r) for r in data)
+    inside = np.full((len(data), longest), True)
+    if network.domain is not None and largest is not None:
+        for row, index in zip(inside, domain(network, data).value.index, strict=True):
+            row[: len(index)] = index <= largest
+    return inside
+
+
 def _samples(
-    network: Network, data: Dataset, window: int, simulated: bool
+    network: Network,
+    data: Dataset,
+    known: Bool[np.ndarray, "records time"],
+    window: int,
+    simulated: bool,
 ) -> WindowedSamples:
     """Every record behind the other, in windows; padding has weight zero."""
     batch = stack_records(data)
     masks = make_masks(network, batch)
-    usable = masks.scored & (True if simulated else masks.anchors[:, :, None])
-    if not usable.any():
+    if not np.any(masks.scored & (simulated | masks.anchors[:, :, None])):
         raise DataError(
             f"no sample can be used: the model needs {network.history} valid measured "
             f"samples in a row before one, the longest record has "
             f"{max(len(r) for r in data)} rows"
         )
+    whole = usable(batch.valid, _complete_rows(network, simulated), network.history)
+    seen = masks.scored & whole[:, :, None]
+    seen[:, : known.shape[1]] &= known[:, :, None]
     drive, anchor = make_drive(network, batch), first_anchor(masks)
     if simulated:
         start = run(network, drive, jnp.asarray(anchor))
@@ -105,13 +128,24 @@ def _samples(
         tuple(x.swapaxes(1, 2) for x in drive.x),
         drive.measured,
         past,
-        jnp.asarray(usable, dtype),
+        jnp.asarray(seen, dtype),
         jnp.asarray(anchor),
         start,
     )
     longest = max(len(r) for r in data)
     cut = partial(_windows, longest=longest, window=window)
     return WindowedSamples(*jax.tree.map(cut, every))
+
+
+def _complete_rows(network: Network, simulated: bool) -> tuple[tuple[int, int], ...]:
+    """Signals and lags that a sample is learnt from: all that is between, too, so that
+    a control unit need only count."""
+    inputs = [(s, lag) for s in network.used for lag in range(network.history + 1)]
+    tables = (network.variables, *(m.scheduling for m in network.models))
+    if simulated or all(s not in network.signals for t in tables for s, _ in t):
+        return tuple(inputs)
+    past = [(s, lag + 1) for s in network.signals for lag in range(network.history)]
+    return (*inputs, *past)
 
 
 def _windows(a: jax.Array, longest: int, window: int) -> jax.Array:
@@ -128,6 +162,7 @@ def _stats(network: Network, record: WindowRecord) -> dict:
     return {
         "rmse": np.sqrt(np.asarray(record.mse)) * gain,
         "rmse_start": np.sqrt(np.asarray(record.mse_start)) * gain,
+        "drift": np.sqrt(np.asarray(record.drift)) * gain,
         "undone": np.asarray(record.undone),
         "history": [np.asarray(theta) for theta in record.theta],
         "samples": np.asarray(record.samples).sum(axis=0),

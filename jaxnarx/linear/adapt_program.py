@@ -18,7 +18,7 @@ from jaxnarx.arrays import Recursion, program, update_recursion
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network, OutputModel, scheduling_values, with_history
 from jaxnarx.regressors import evaluate
-from jaxnarx.settings import Recursive
+from jaxnarx.settings import LEAST_WINDOW_ERROR, Recursive
 
 
 class RegressionRows(eqx.Module):
@@ -104,11 +104,6 @@ def place(
     return eqx.tree_at(lambda n: [m.local.coefficient for m in n.models], network, new)
 
 
-LEAST_ERROR_SHARE = 1e-4
-"""Root mean square error, as a share of an output's gain, below which no window is
-undone: a start that is exact has no error to compare with."""
-
-
 class WindowedSamples(NamedTuple):
     """All samples behind one another, cut into windows."""
 
@@ -135,12 +130,14 @@ class Limits(NamedTuple):
 class Output(eqx.Module):
     """One output on its way: its groups' recursions, and coefficients to go back to.
 
-    `packed` is that of a `Recursion` for every group.
+    `packed` is that of a `Recursion` for every group, `begin` the diagonal of a root of
+    its covariance at the start: zero in slots that are not used.
     """
 
     packed: Float[Array, "groups terms_and_one terms"]
     good: Float[Array, "models slots"]
     first: Float[Array, "models slots"]
+    begin: Float[Array, "groups terms"]
 
 
 class WindowRecord(NamedTuple):
@@ -149,6 +146,7 @@ class WindowRecord(NamedTuple):
     theta: tuple[Float[Array, "_ _"], ...]
     mse: Float[Array, " outputs"]
     mse_start: Float[Array, " outputs"]
+    drift: Float[Array, " outputs"]
     samples: Int[Array, " outputs"]
     frozen: Int[Array, " outputs"]
     held: Int[Array, " outputs"]
@@ -164,12 +162,20 @@ def _estimate(output: Output) -> Float[Array, "models slots"]:
     return output.packed[:, -1].reshape(output.good.shape)
 
 
-def _fresh(theta, joint: bool, start) -> Float[Array, "groups terms_and_one terms"]:
-    """Recursions of every group at `theta`, P = start times the unit matrix."""
-    groups = _groups(theta, joint)
-    root = jnp.sqrt(start) * jnp.eye(groups.shape[1], dtype=theta.dtype)
-    root = jnp.broadcast_to(root, (len(groups), *root.shape))
-    return jnp.concatenate([root, groups[:, None]], axis=1)
+def _fresh(
+    theta: Float[Array, "models slots"], begin: Float[Array, "groups terms"]
+) -> Float[Array, "groups terms_and_one terms"]:
+    """Recursions of every group at `theta`."""
+    root = jax.vmap(jnp.diag)(begin)
+    return jnp.concatenate([root, theta.reshape(len(begin), 1, -1)], axis=1)
+
+
+def _begin_output(
+    theta: Float[Array, "models slots"], used: Array, joint: bool, limits: Limits
+) -> Output:
+    """An output before its first sample: P is `start` times the unit matrix."""
+    begin = jnp.sqrt(limits.start) * _groups(used.astype(theta.dtype), joint)
+    return Output(_fresh(theta, begin), theta, theta, begin)
 
 
 def _update(packed, columns, target, weight, fade, least):
@@ -199,7 +205,7 @@ def _learn(
     fade = 1.0 - (1.0 - limits.forgetting) * share
     packed = output.packed
     trace = jnp.sum(packed[:, :-1] ** 2, axis=(1, 2))
-    most = limits.largest_trace * limits.start * packed.shape[2]
+    most = limits.largest_trace * jnp.sum(output.begin**2, axis=1)
     full = trace > most * fade
     fade = jnp.where(full, 1.0, fade)
     least = limits.excitation * (1.0 - limits.forgetting)
@@ -207,24 +213,24 @@ def _learn(
     packed, used = jax.vmap(partial(_update, least=least))(*now)
     rested = (weight > 0) & ~jnp.any(used) | ~awake
     held = jnp.any(used & full & (limits.forgetting < 1))
-    return Output(packed, output.good, output.first), predicted, rested, held
+    return dataclasses.replace(output, packed=packed), predicted, rested, held
 
 
 def _judge(
-    output: Output, mse, mse_start, limits: Limits, joint: bool
+    output: Output, mse, mse_start, limits: Limits
 ) -> tuple[Output, Bool[Array, ""]]:
     """Keep the window's coefficients, or go back and begin anew.
 
     Back means to the last good coefficients, and from there, should the next window
     fail as well, to those of the start.
     """
-    most = limits.growth**2 * jnp.maximum(mse_start, LEAST_ERROR_SHARE**2)
+    most = limits.growth**2 * jnp.maximum(mse_start, LEAST_WINDOW_ERROR**2)
     finite = jnp.all(jnp.isfinite(output.packed))
     undone = ~((mse <= most) & finite)
-    again = _fresh(output.good, joint, limits.start)
+    again = _fresh(output.good, output.begin)
     packed = jnp.where(undone, again, output.packed)
     good = jnp.where(undone, output.first, _estimate(output))
-    return Output(packed, good, output.first), undone
+    return dataclasses.replace(output, packed=packed, good=good), undone
 
 
 def _bound(network: Network, y):
@@ -267,6 +273,7 @@ def adapt_windows(
         figures = (
             jnp.where(counted, (y - predicted) ** 2, 0.0),
             jnp.where(counted, (y - start) ** 2, 0.0),
+            jnp.where(counted, (predicted - start) ** 2, 0.0),
             counted,
             jnp.stack(rested) & counted,
             jnp.stack(held) & counted,
@@ -280,12 +287,12 @@ def adapt_windows(
             rows = regression_rows(v.T, tuple(x_o.T for x_o in x))
         inner = (rows, v, x, *block[2:])
         (outputs, past, _), figures = jax.lax.scan(sample, carry, inner)
-        error, error_start, counted, rested, held = figures
+        error, error_start, apart, counted, rested, held = figures
         count = jnp.sum(counted, axis=0)
         mse = _mean(jnp.sum(error, axis=0), count)
         mse_start = _mean(jnp.sum(error_start, axis=0), count)
         judged = [
-            _judge(output, mse[o], mse_start[o], limits, joint)
+            _judge(output, mse[o], mse_start[o], limits)
             for o, output in enumerate(outputs)
         ]
         outputs = tuple(output for output, _ in judged)
@@ -294,6 +301,7 @@ def adapt_windows(
             tuple(_estimate(o) for o in outputs),
             mse,
             mse_start,
+            _mean(jnp.sum(apart, axis=0), count),
             count,
             jnp.sum(rested, axis=0),
             jnp.sum(held, axis=0),
@@ -301,10 +309,10 @@ def adapt_windows(
         )
         return (outputs, past, jnp.any(undone)), record
 
-    first = [
-        coefficients(m, c) for m, c in zip(network.models, plan.chosen, strict=True)
-    ]
-    outputs = tuple(Output(_fresh(f, joint, limits.start), f, f) for f in first)
+    outputs = tuple(
+        _begin_output(coefficients(m, c), m.local.used[np.array(c)], joint, limits)
+        for m, c in zip(network.models, plan.chosen, strict=True)
+    )
     carry = outputs, samples.past[0, 0], jnp.asarray(False)
     _, record = jax.lax.scan(window, carry, samples)
     return tuple(theta[-1] for theta in record.theta), record

@@ -15,6 +15,7 @@ from jaxnarx.settings.fields import field_hints as field_hints
 from jaxnarx.settings.fields import union_members as union_members
 from jaxnarx.settings.identification import Identification
 from jaxnarx.settings.inverse import ActuatorLimits, TrackingError
+from jaxnarx.settings.least_squares import LEAST_WINDOW_ERROR as LEAST_WINDOW_ERROR
 from jaxnarx.settings.least_squares import LeastSquares, Recursive
 from jaxnarx.settings.linear import (
     ARMAX,

@@ -53,6 +53,11 @@ class LeastSquares:
         )
 
 
+LEAST_WINDOW_ERROR = 1e-4
+"""Root mean square error of adaptation, as a share of an output's gain, below which no
+window is undone: a start that is exact has no error to compare with."""
+
+
 @settings
 class Recursive:
     """Adapt the coefficients of a running network sample by sample.
@@ -66,15 +71,16 @@ class Recursive:
     forgetting: Forgetting = 0.998
     """Weight of a sample against the next, in (0, 1]; a local model forgets in
     proportion to its validity at the sample."""
-    start: Positive = 1.0
+    start: Positive = 0.01
     """Variance of a coefficient of gain-scaled signals at the start, in units of the
     variance of the error: small trusts the network, large the data."""
     regressors: Literal["measured", "simulated"] = "measured"
     """Past outputs in the regressors: "measured" (equation error) or "simulated" (the
     model's own, as in use; output error)."""
-    estimation: Literal["local", "joint"] = "local"
-    """"local": each local model on its own, weighted by its validity; "joint": all
-    chosen ones together."""
+    estimation: Literal["local", "joint"] = "joint"
+    """"joint": all chosen local models together, as most networks are trained; "local":
+    each on its own, weighted by its validity, with less memory and fewer operations,
+    for networks that were trained so."""
     models: Sequence[int] | None = None
     """Local models to adapt, counted from 0, of every output; None: all."""
     dead_zone: NotNegative = 0.0
@@ -84,6 +90,9 @@ class Recursive:
     which one direction brings that is excited all the time."""
     largest_trace: Positive = 1.0
     """Forget only while the trace of P stays below this many times its start."""
+    largest_index: Positive | None = 1.0
+    """Rest where the index of the network's domain is larger, if it has one; None:
+    nowhere."""
     window: Count = 100
     """Samples after which the error is compared with that of the starting network."""
     growth: Growth = 2.0

@@ -1,5 +1,6 @@
 """Descriptions of records as commands are given them."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from jaxnarx.errors import SpecError
@@ -7,6 +8,7 @@ from jaxnarx.shell.messages import about, say
 
 if TYPE_CHECKING:
     from jaxnarx.data import Dataset, Split
+    from jaxnarx.models import Network
 
 
 def read_description(path: str, root: str | None) -> "Split":
@@ -22,6 +24,29 @@ def read_description(path: str, root: str | None) -> "Split":
         split = read_split(path, root=root)
     tell_notes(split.all)
     return split
+
+
+def read_records(
+    files: Sequence[str], root: str | None, network: "Network"
+) -> "Dataset":
+    """The records of one description or of data files, with the model's channels."""
+    from jaxnarx.data import match_channels, read_files
+
+    if not files:
+        raise SpecError("give data files or one TOML description")
+    first = files[0]
+    if any(f.lower().endswith(".toml") for f in files):
+        if len(files) > 1:
+            raise SpecError("give one description, or data files, not both")
+        split = read_description(first, root)
+        with about(first):
+            return match_channels(split.all, network.channels.measured)[0]
+    step = float(network.sample_time)
+    data = read_files(
+        files, network.channels.measured, sample_time=step, missing="mask"
+    )
+    tell_notes(data)
+    return data
 
 
 def tell_findings(data: "Dataset") -> None:

@@ -57,6 +57,8 @@ def _run(command: commands.Command, typed: str) -> int:
         return _import_dcm(command)
     if isinstance(command, commands.Plan):
         return _plan(command, typed)
+    if isinstance(command, commands.Adapt):
+        return _adapt(command)
     if isinstance(command, commands.Calibrate):
         return _calibrate(command, typed)
     if isinstance(command, commands.Sweep):
@@ -309,6 +311,12 @@ def _import_dcm(command: commands.ImportDcm) -> int:
     from jaxnarx.shell.import_dcm import import_dcm
 
     return import_dcm(command)
+
+
+def _adapt(command: commands.Adapt) -> int:
+    from jaxnarx.shell.adapt import adapt_model
+
+    return adapt_model(command)
 
 
 def _plan(command: commands.Plan, typed: str) -> int:

@@ -3,8 +3,7 @@
 import dataclasses
 from pathlib import Path
 
-from jaxnarx.data import Dataset, match_channels, read_files
-from jaxnarx.errors import SpecError
+from jaxnarx.data import Dataset
 from jaxnarx.exporters import (
     BOTH,
     ONLY_DOUBLE,
@@ -18,7 +17,7 @@ from jaxnarx.fleet import load_prior
 from jaxnarx.models import Network, load, set_nan_policy
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Export
-from jaxnarx.shell.description import read_description, tell_notes
+from jaxnarx.shell.description import read_records
 from jaxnarx.shell.messages import about, say, size, warn
 
 README_FILE = "README.md"
@@ -30,7 +29,7 @@ the model."""
 def export_model(command: Export, typed: str) -> int:
     """Write the files, and what the proof has found; returns the exit code."""
     network = _set_policy(load(command.model), command)
-    data = _records(command, network) if command.files else None
+    data = read_records(command.files, command.root, network) if command.files else None
     with about(command.model, but=("over", "name")):
         found = export(
             network,
@@ -210,20 +209,3 @@ def _units(found: Exported, program: SampleProgram) -> list[str]:
 
 def _cell(text: str) -> str:
     return text.replace("|", "\\|").replace("`", "'")
-
-
-def _records(command: Export, network: Network) -> Dataset:
-    """The records of a description, or of files, with the model's channels."""
-    first = command.files[0]
-    if any(Path(f).suffix.lower() == ".toml" for f in command.files):
-        if len(command.files) > 1:
-            raise SpecError("give one description, or data files, not both")
-        with about(first):
-            data, _ = match_channels(
-                read_description(first, command.root).all, network.channels
-            )
-        return data
-    step = float(network.sample_time)
-    data = read_files(command.files, network.channels, sample_time=step, missing="mask")
-    tell_notes(data)
-    return data

@@ -27,6 +27,7 @@ from jaxnarx.shell.figures import partition as regions
 from jaxnarx.shell.figures import relevance as worth
 from jaxnarx.shell.figures import report as figures
 from jaxnarx.shell.figures import residuals as tests
+from jaxnarx.shell.figures.adaptation import adaptation_picture
 from jaxnarx.shell.figures.draw import draw
 from jaxnarx.shell.figures.leaderboard import COST_LABELS, error_over_operations
 from jaxnarx.shell.figures.linear import bode, poles, step_responses
@@ -37,6 +38,7 @@ from jaxnarx.shell.figures.tree import tree
 from jaxnarx.solution import Solution
 
 __all__ = [
+    "adaptation",
     "bode",
     "compare",
     "error_map",
@@ -60,6 +62,13 @@ __all__ = [
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+def adaptation(found: Solution[Network], data: Dataset, window: int = 100) -> Figure:
+    """Draw what `jnx.linear.adapt` has returned for these records: by windows of so
+    many samples the error, that of the network as it began, and their difference."""
+    step = window * float(data.sample_time)
+    return draw(adaptation_picture(found, step))
 
 
 def partition(

@@ -3,48 +3,15 @@
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from adapt_problems import TIME, dataset, excitation, one_model, plant, two_models
 
-from jaxnarx.data import Dataset
+from jaxnarx.confidence import domain, fit_domain
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear._adapt import adapt
-from jaxnarx.models import Gaussians, Network, assemble, local_models, output_model
-from jaxnarx.partition import grow
-from jaxnarx.regressors import Variables, polynomial_pool
-from jaxnarx.settings import Global
+from jaxnarx.models import Network
 from jaxnarx.settings.least_squares import Recursive
-
-TIME = 1200
-
-
-def plant(u, gain, noise=0.0, seed=1):
-    """y[t] = 0.8 y[t-1] + gain[t] u[t-1] + noise."""
-    e = noise * np.random.default_rng(seed).normal(size=len(u))
-    y = np.zeros(len(u))
-    for t in range(1, len(u)):
-        y[t] = 0.8 * y[t - 1] + gain[t] * u[t - 1] + e[t]
-    return y
-
-
-def excitation(time=TIME, seed=0):
-    levels = np.random.default_rng(seed).uniform(-1.0, 1.0, size=time // 5)
-    return np.repeat(levels, 5)
-
-
-def dataset(u, y, missing="refuse") -> Dataset:
-    return Dataset.from_arrays(
-        u, y, inputs=["u"], outputs=["y"], sample_time=0.1, missing=missing
-    )
-
-
-def pool_of(data):
-    return polynomial_pool(data.channels, input_lags=(1,), output_lags=(1,), degree=1)
-
-
-def one_model(data: Dataset) -> Network:
-    return grow(pool_of(data), data, Global()).value
 
 
 def moved(network: Network, share: float) -> Network:
@@ -140,22 +107,6 @@ def test_a_window_that_makes_the_error_grow_is_undone(steady):
     np.testing.assert_allclose(physical(safe.value)[1:], [0.5, 0.8], atol=1e-3)
 
 
-def two_models(data: Dataset) -> Network:
-    """Local models for negative and positive u[t-1], all coefficients zero."""
-    pool = pool_of(data)
-    factor = np.array([[0], [1], [2]])
-    local = local_models(factor, np.zeros((2, 3)))
-    centre, width = jnp.asarray([[0.0], [1.0]]), jnp.log(jnp.full((2, 1), 0.15))
-    model = output_model(
-        local,
-        Gaussians(centre, width),
-        Variables(((0, 1),)),
-        np.array([-1.0]),
-        np.array([2.0]),
-    )
-    return assemble(pool, data, np.array([1.0, 1.0]), [model])
-
-
 def weighted(network, data, phi):
     """Batch least squares of one local model with its validity as the weight."""
     u, y = data.records[0].u[:, 0], data.records[0].y[:, 0]
@@ -188,7 +139,7 @@ PLAIN: dict[str, Any] = {
 
 def test_every_local_model_on_its_own_is_weighted_least_squares(bent):
     data, network = bent
-    found = adapt(network, data, Recursive(**PLAIN))
+    found = adapt(network, data, Recursive(estimation="local", **PLAIN))
     theta = np.asarray(found.value.models[0].local.coefficient)
     phi = validities(data)
     for m in range(2):
@@ -199,12 +150,13 @@ def test_every_local_model_on_its_own_is_weighted_least_squares(bent):
 
 def test_chosen_models_only_and_jointly(bent):
     data, network = bent
-    alone = adapt(network, data, Recursive(models=(1,), **PLAIN)).value
-    both = adapt(network, data, Recursive(**PLAIN)).value
+    local: dict[str, Any] = PLAIN | {"estimation": "local"}
+    alone = adapt(network, data, Recursive(models=(1,), **local)).value
+    both = adapt(network, data, Recursive(**local)).value
     one, all_ = (np.asarray(n.models[0].local.coefficient) for n in (alone, both))
     np.testing.assert_array_equal(one[0], 0.0)
     np.testing.assert_allclose(one[1], all_[1], rtol=1e-9)
-    joint = adapt(network, data, Recursive(estimation="joint", **PLAIN)).value
+    joint = adapt(network, data, Recursive(**PLAIN)).value
     u, y = data.records[0].u[:, 0], data.records[0].y[:, 0]
     x = np.column_stack([np.ones(TIME - 1), u[:-1], y[:-1]])
     wide = np.concatenate([x * validities(data)[:, [m]] for m in range(2)], axis=1)
@@ -243,3 +195,31 @@ def test_impossible_requests(steady):
         assert caught.value.field == field
     with pytest.raises(DataError, match="no sample can be used"):
         adapt(network, dataset(np.zeros(1), np.zeros(1)), Recursive())
+
+
+def test_nothing_is_learnt_outside_of_the_domain(steady):
+    data, network = steady
+    network = fit_domain(network, data)
+    u = excitation(seed=9)
+    u[600:900] *= 3.0
+    strange = dataset(u, plant(u, np.where(np.abs(u) > 1.0, 0.9, 0.5), noise=0.005))
+    safe = adapt(network, strange, Recursive(start=1.0))
+    beyond = np.count_nonzero(domain(network, strange).value.index[0] > 1)
+    assert safe.stats["outside"] == beyond > 100
+    np.testing.assert_allclose(physical(safe.value)[1:], [0.5, 0.8], atol=0.03)
+    led = adapt(network, strange, Recursive(start=1.0, largest_index=None))
+    assert led.stats["outside"] == 0
+    assert led.stats["rmse"].max() > 5 * safe.stats["rmse"].max()
+
+
+def test_slots_without_a_term_do_not_wind_up(bent):
+    """A model with fewer terms than its neighbour has slots that nothing excites: they
+    count for nothing in the bound on the covariance."""
+    data, network = bent
+    where = lambda n: n.models[0].local.used  # noqa: E731
+    fewer = eqx.tree_at(where, network, where(network).at[0, 2].set(False))
+    method = Recursive(estimation="local", forgetting=0.98, start=10.0)
+    found = adapt(fewer, data, method)
+    theta = np.asarray(found.value.models[0].local.coefficient)
+    assert theta[0, 2] == np.asarray(network.models[0].local.coefficient)[0, 2]
+    assert found.stats["held"][0] < 0.5 * found.stats["samples"][0]

@@ -25,6 +25,7 @@ from jaxnarx.shell.commands.search import Automatic as Automatic
 from jaxnarx.shell.commands.search import Choose as Choose
 from jaxnarx.shell.commands.search import Leaderboard as Leaderboard
 from jaxnarx.shell.commands.sweep import Sweep as Sweep
+from jaxnarx.shell.commands.use import Adapt as Adapt
 from jaxnarx.shell.commands.use import Export as Export
 from jaxnarx.shell.commands.use import ImportDcm as ImportDcm
 from jaxnarx.shell.commands.use import Plan as Plan
@@ -53,6 +54,7 @@ Command = (
     | Report
     | Plan
     | Simulate
+    | Adapt
     | Calibrate
     | Export
     | ImportDcm

@@ -20,6 +20,7 @@ TASK_COMMANDS = {
     },
     "use": {
         "simulate": "Run a model on new files.",
+        "adapt": "Let a model follow its engine over new records.",
         "calibrate": "Optimise maps of a control unit over a cycle.",
         "export": "Write C, FMU, Python, JavaScript, MATLAB, DCM or A2L.",
         "import-dcm": "Read changed parameters back into a model.",
@@ -35,8 +36,7 @@ usage: jaxnarx COMMAND [OPTIONS] | COMMAND --help, with examples | --version
 Identify engines from measurements as NARX networks with regional models.
 """
 OVERVIEW_FOOT = """
-Exit codes: 0 done, 1 model not usable or fit below --require-fit, 2 usage,
-3 data or model files, 70 defect, 130 interrupted, 143 ended by SIGTERM."""
+Exit codes: 0 done, 1 not usable, 2 usage, 3 files, 70 defect, 130, 143 stopped."""
 
 
 def overview() -> str:

@@ -192,6 +192,47 @@ class Export:
 
 
 @dataclasses.dataclass(frozen=True)
+class Adapt:
+    """Let a model follow its engine: update its coefficients over new records.
+
+    FILE holds columns named like the model's channels, at the model's sample time,
+    measured outputs among them; or it is one TOML description. Sample by sample the
+    coefficients are corrected by recursive least squares; nothing is learnt where a
+    value is missing or the inputs are outside of the model's domain, and a window that
+    makes the error grow is undone. FOLDER receives model.safetensors, adaptation.csv
+    (by window the error, that of the model as it began, and how far it has drifted) and
+    report.html; with --c also C files of a model that goes on learning so.
+
+    Example:
+        jaxnarx adapt runs/engine/model.safetensors new_run.csv --out adapted
+    """
+
+    model: Positional[Model]
+    """Model file; one without hidden states."""
+    files: Positional[Annotated[tuple[str, ...], optional("FILE [FILE ...]")]]
+    """Data files, or one TOML description."""
+    root: Folder = None
+    """Folder of the data of a description; default as for `jaxnarx report`."""
+    out: Annotated[str, arg(metavar="FOLDER")] = "adapted"
+    """Folder for the files."""
+    forgetting: Annotated[float | None, optional("SHARE")] = None
+    """Weight of a sample against the next one, up to 1 (default .998)."""
+    start: Annotated[float | None, optional("VARIANCE")] = None
+    """How far a coefficient may be off at the start (default .01): small trusts the
+    model, large the data."""
+    regressors: Literal["measured", "simulated"] = "measured"
+    """Past outputs that enter: measured ones, or the model's own."""
+    estimation: Literal["joint", "local"] = "joint"
+    """Local models learn together, or each on its own."""
+    window: Annotated[int | None, optional("SAMPLES")] = None
+    """Samples after which the error is judged (default 100)."""
+    c: Annotated[str | None, optional("NAME")] = None
+    """Write NAME.c and NAME_adapt.c: the model as it was, that learns on its unit."""
+    force: Flag = False
+    """Overwrite files of an earlier run."""
+
+
+@dataclasses.dataclass(frozen=True)
 class ImportDcm:
     """Take changed parameters of an exported model back into it.
 

@@ -1,0 +1,456 @@
+"""C99 of a model that learns while it runs: recursive least squares beside its step.
+
+The files stand beside those of `jaxnarx.exporters.c99` and use them. What they do is
+what `jaxnarx.linear.adapt` does with the same settings: P is kept as a square root, a
+local model forgets in proportion to its weight, and windows that make the error grow
+are undone.
+"""
+
+import ctypes
+import dataclasses
+import itertools
+import subprocess
+from collections.abc import Callable, Sequence
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxnarx.exporters.c99 import c_syntax, store_lines, told_lines
+from jaxnarx.exporters.code import Syntax, digits, statements, value_text
+from jaxnarx.exporters.compilers import WARNING_FLAGS, compiler
+from jaxnarx.exporters.form import INDEX_FLAG, LearntOutput, SampleProgram, Value
+from jaxnarx.exporters.notes import wrap_paragraphs
+from jaxnarx.exporters.proof import ExportError
+from jaxnarx.exporters.target import Files
+from jaxnarx.settings import LEAST_WINDOW_ERROR, Recursive
+
+SIMULATED, MEASURED, NONE = "simulated", "measured", "none"
+"""Past outputs that enter a model: its own, measured ones, or none."""
+
+AdaptationRunner = Callable[
+    [Float[np.ndarray, "time inputs"], Float[np.ndarray, "time computed"]],
+    Float[np.ndarray, " coefficients"],
+]
+"""A function that learns from inputs and measured outputs, and gives the coefficients
+at the end, output by output."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Adaptive:
+    """A program, with regressions, that learns; `past` is one of the three above, and
+    `chosen` are the local models of every output that learn."""
+
+    program: SampleProgram
+    method: Recursive
+    past: str
+    chosen: tuple[tuple[int, ...], ...]
+
+    @property
+    def joint(self) -> bool:
+        """Whether the local models of an output learn together."""
+        return self.method.estimation == "joint"
+
+    @property
+    def parts(self) -> list["LearntTerms"]:
+        """What is learnt, output by output."""
+        return [
+            LearntTerms(regression, chosen, self.joint)
+            for regression, chosen in zip(
+                self.program.regressions, self.chosen, strict=True
+            )
+        ]
+
+    @property
+    def numbers(self) -> int:
+        """Numbers in memory, but for the states of the model."""
+        tables = sum(2 * self.program.table(p.table).values.size for p in self.parts)
+        return tables + sum(p.root for p in self.parts) + 9 * len(self.parts)
+
+    @property
+    def multiplications(self) -> int:
+        """Multiplications of a sample beside those of the model."""
+        return sum(4 * n**2 + 7 * n for part in self.parts for n in part.terms)
+
+
+@dataclasses.dataclass(frozen=True)
+class LearntTerms:
+    """What is learnt of an output: places and terms, group by group."""
+
+    regression: LearntOutput
+    chosen: tuple[int, ...]
+    joint: bool
+
+    @property
+    def table(self) -> str:
+        """The table of the coefficients."""
+        return self.regression.table
+
+    @property
+    def word(self) -> str:
+        """The output in names."""
+        return self.table.removeprefix("theta_")
+
+    @property
+    def entries(self) -> list[int]:
+        """Places in the table."""
+        return [e for m in self.chosen for e in self.regression.entries[m]]
+
+    @property
+    def terms(self) -> list[int]:
+        """Numbers of terms, group by group."""
+        counts = [len(self.regression.entries[m]) for m in self.chosen]
+        return [sum(counts)] if self.joint else counts
+
+    @property
+    def root(self) -> int:
+        """Numbers of the roots of all covariances."""
+        return sum(n**2 for n in self.terms)
+
+
+def adaptive_files(adaptive: Adaptive) -> Files:
+    """Header and source, by their names."""
+    name = adaptive.program.name
+    return {
+        f"{name}_adapt.h": _header(adaptive),
+        f"{name}_adapt.c": _source(adaptive),
+    }
+
+
+def _header(adaptive: Adaptive) -> str:
+    program, method = adaptive.program, adaptive.method
+    name, upper = program.name, program.name.upper()
+    outputs = len(program.regressions)
+    real = f"{name}_real"
+    about = [
+        f"Coefficients follow the engine by recursive least squares; forgetting "
+        f"{method.forgetting:g}, start {method.start:g}, windows of {method.window} "
+        f"samples. Past outputs that enter: {adaptive.past}.",
+        "y are the outputs as they are measured now, NaN where one is not: nothing is "
+        "learnt from that, nor outside of the domain, nor where an input is missing.",
+        f"{adaptive.numbers} numbers in memory beside the states of the model, "
+        f"{adaptive.multiplications} multiplications a sample beside its own.",
+    ]
+    lines = [
+        f"/* {name}_adapt: the model of {name}.h, learning while it runs.",
+        " *",
+        f" *   {name}_begin(&state, u, y); {upper}_HISTORY times {name}_observe",
+        f" *   {name}_adapt_begin(&a, &state);",
+        f" *   {name}_adapt(&a, u, y, &out);   in place of {name}_step",
+        " *",
+        *wrap_paragraphs(about, " * "),
+        " */",
+        f"#ifndef {upper}_ADAPT_H",
+        f"#define {upper}_ADAPT_H",
+        "",
+        f'#include "{name}.h"',
+        "",
+        "/* rmse, that of the model as it began, and the root mean square of their",
+        " * difference: of the last whole window, in the outputs' units; undone: how",
+        " * many windows were. */",
+        "typedef struct {",
+        *(f"    {name}_state {state};" for state in _states(adaptive)),
+        *(
+            f"    {real} {what}[{size}];"
+            for part in adaptive.parts
+            for what, size in (
+                (part.table, program.table(part.table).values.size),
+                (f"good_{part.word}", program.table(part.table).values.size),
+                (f"root_{part.word}", part.root),
+            )
+        ),
+        f"    {real} sums[{3 * outputs}];",
+        f"    {real} rmse[{outputs}];",
+        f"    {real} rmse_start[{outputs}];",
+        f"    {real} drift[{outputs}];",
+        f"    int count[{outputs}];",
+        f"    int undone[{outputs}];",
+        "    int at;",
+        "    int ready;",
+        f"}} {name}_adaptation;",
+        "",
+        f"void {name}_adapt_begin({name}_adaptation *a, const {name}_state *s);",
+        f"void {name}_adapt({name}_adaptation *a, const {real} *u, const {real} *y,",
+        f"    {name}_out *out);",
+        "",
+        "#endif",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _states(adaptive: Adaptive) -> list[str]:
+    """Runs that are kept: where a model is fed with its own past, also that of the
+    model as it began, and that of measured outputs, to go back to."""
+    return ["model", "start", "seen"] if adaptive.past == SIMULATED else ["model"]
+
+
+def _source(adaptive: Adaptive) -> str:
+    program = adaptive.program
+    name, upper = program.name, program.name.upper()
+    most = max(max(part.terms) for part in adaptive.parts)
+    learning = resources.files("jaxnarx.exporters") / "adapt.c"
+    method = adaptive.method
+    numbers = {
+        "FORGETTING": method.forgetting,
+        "FIRST": method.start,
+        "DEAD_ZONE": method.dead_zone,
+        "LEAST_NEWS": method.excitation * (1 - method.forgetting),
+        "LARGEST_TRACE": method.largest_trace,
+        "GROWTH": method.growth,
+        "LEAST_ERROR": LEAST_WINDOW_ERROR,
+    }
+    lines = [
+        f'#include "{name}_adapt.h"',
+        "",
+        "#include <math.h>",
+        "",
+        *(f"#define {k} ({name}_real){digits(float(v))}" for k, v in numbers.items()),
+        f"#define WINDOW {method.window}",
+        f"#define MOST_TERMS {most}",
+        f"#ifdef {upper}_SINGLE",
+        "#define ROOT(x) sqrtf(x)",
+        "#define EXPONENTIAL(x) expf(x)",
+        "#else",
+        "#define ROOT(x) sqrt(x)",
+        "#define EXPONENTIAL(x) exp(x)",
+        "#endif",
+        f"#define {upper}_EXP(x) EXPONENTIAL(x)",
+        f"#define {upper}_SQRT(x) ROOT(x)",
+        "",
+        learning.read_text(encoding="utf-8").replace("NAME_", f"{name}_"),
+    ]
+    for part in adaptive.parts:
+        word = part.word
+        lines += [
+            f"static const int terms_{word}[{len(part.terms)}] = {_set(part.terms)};",
+            f"static const int at_{word}[{len(part.entries)}] = {_set(part.entries)};",
+            f"static const part_type part_{word} = {{",
+            f"    {len(part.terms)}, {program.table(part.table).values.size},",
+            f"    terms_{word}, at_{word}, {name}_{part.table}",
+            "};",
+            "",
+        ]
+    return "\n".join([*lines, *_begin(adaptive), "", *_adapt(adaptive)]) + "\n"
+
+
+def _set(numbers: Sequence[int]) -> str:
+    rows = [numbers[k : k + 12] for k in range(0, len(numbers), 12)]
+    return "{\n    " + ",\n    ".join(", ".join(map(str, r)) for r in rows) + "\n}"
+
+
+def _begin(adaptive: Adaptive) -> list[str]:
+    name, upper = adaptive.program.name, adaptive.program.name.upper()
+    lines = [
+        f"void {name}_adapt_begin({name}_adaptation *a, const {name}_state *s)",
+        "{",
+        "    int k;",
+        *(f"    a->{state} = *s;" for state in _states(adaptive)),
+    ]
+    for o, part in enumerate(adaptive.parts):
+        word = part.word
+        lines += [
+            f"    restore(&part_{word}, a->{part.table}, part_{word}.first);",
+            f"    restore(&part_{word}, a->good_{word}, part_{word}.first);",
+            f"    reset(&part_{word}, a->root_{word});",
+            f"    a->rmse[{o}] = 0.0;",
+            f"    a->rmse_start[{o}] = 0.0;",
+            f"    a->drift[{o}] = 0.0;",
+            f"    a->count[{o}] = 0;",
+            f"    a->undone[{o}] = 0;",
+        ]
+    return [
+        *lines,
+        f"    for (k = 0; k < {3 * len(adaptive.parts)}; k++) {{",
+        "        a->sums[k] = 0.0;",
+        "    }",
+        f"    a->at = {upper}_HISTORY % WINDOW;",
+        f"    a->ready = {upper}_HISTORY;",
+        "}",
+    ]
+
+
+def _learning_syntax(adaptive: Adaptive) -> Syntax:
+    """Coefficients are those in memory."""
+    syntax, own = c_syntax(adaptive.program), {p.table for p in adaptive.parts}
+    fixed = syntax.source["table"]
+
+    def table(at: tuple[str, int]) -> str:
+        return f"a->{at[0]}[{at[1]}]" if at[0] in own else fixed(at)
+
+    return dataclasses.replace(syntax, source={**syntax.source, "table": table})
+
+
+def _adapt(adaptive: Adaptive) -> list[str]:
+    program, syntax = adaptive.program, _learning_syntax(adaptive)
+    name, measured = program.name, adaptive.past == MEASURED
+    asked = [n for p in adaptive.parts for n in _values(p)]
+    needed = program.needed_operations(
+        [*program.step, *(program.observe if measured else ()), *asked]
+    )
+    own = adaptive.past == SIMULATED
+    lines = [
+        f"void {name}_adapt({name}_adaptation *a, const {name}_real *u,",
+        f"    const {name}_real *y, {name}_out *out)",
+        "{",
+        f"    {name}_state *const s = &a->model;",
+        *([f"    {name}_out was;"] if own else []),
+        f"    {name}_real started;",
+        "    int usable;",
+        *statements(program, needed, syntax),
+        *told_lines(program, syntax),
+        *([f"    {name}_step(&a->start, u, &was);"] if own else []),
+        *_usable(adaptive, syntax),
+        *itertools.chain(
+            *(_learn(p, o, adaptive) for o, p in enumerate(adaptive.parts))
+        ),
+        *store_lines(program, syntax, measured=measured),
+        *([f"    {name}_observe(&a->seen, u, y);"] if own else []),
+        "    a->at++;",
+        "    if (a->at >= WINDOW) {",
+        *(["        int lost = 0;"] if own else []),
+    ]
+    for o, part in enumerate(adaptive.parts):
+        word, gain = part.word, syntax.number(part.regression.gain)
+        call = (
+            f"judge(a, {o}, &part_{word}, a->{part.table}, a->good_{word}, "
+            f"a->root_{word}, {gain})"
+        )
+        lines.append(f"        lost |= {call};" if own else f"        (void){call};")
+    return [
+        *lines,
+        *(
+            ["        if (lost != 0) {", "            a->model = a->seen;", "        }"]
+            if own
+            else []
+        ),
+        "        a->at = 0;",
+        "    }",
+        "}",
+    ]
+
+
+def _values(part: LearntTerms) -> list[Value]:
+    one = part.regression
+    own = [n for m in part.chosen for n in (*one.terms[m], one.shares[m])]
+    return [*own, one.value, one.measured, one.there]
+
+
+def _usable(adaptive: Adaptive, syntax: Syntax) -> list[str]:
+    """Whether anything can be learnt at this sample."""
+    program, upper = adaptive.program, adaptive.program.name.upper()
+    text = {k: value_text(program, n, syntax) for k, n in program.flags.items()}
+    half = syntax.number(0.5)
+    there = [f"({text['missing']} < {half})"]
+    if adaptive.past == MEASURED:
+        own = (value_text(program, p.regression.there, syntax) for p in adaptive.parts)
+        there += [f"({one} > {half})" for one in own]
+    known = f"(a->ready >= {upper}_HISTORY)"
+    wanted = [known, there[0]]
+    if INDEX_FLAG in text and adaptive.method.largest_index is not None:
+        largest = syntax.number(adaptive.method.largest_index)
+        wanted.append(f"({text[INDEX_FLAG]} <= {largest})")
+    return [
+        f"    usable = ({' && '.join(wanted)}) ? 1 : 0;",
+        f"    if ({' && '.join(there)}) {{",
+        f"        a->ready = (a->ready < {upper}_HISTORY) ? (a->ready + 1) : a->ready;",
+        "    } else {",
+        "        a->ready = 0;",
+        "    }",
+    ]
+
+
+def _learn(part: LearntTerms, o: int, adaptive: Adaptive) -> list[str]:
+    """One output learns."""
+    program, syntax = adaptive.program, _learning_syntax(adaptive)
+    one, word, real = part.regression, part.word, f"{adaptive.program.name}_real"
+
+    def text(n: Value) -> str:
+        return value_text(program, n, syntax)
+
+    terms = [
+        f"{text(n)} * {text(one.shares[m])}" if part.joint else text(n)
+        for m in part.chosen
+        for n in one.terms[m]
+    ]
+    shares = [text(one.shares[m]) for m in part.chosen]
+    shares = [syntax.number(1.0)] if part.joint else shares
+    ends = f"{syntax.number(one.low)}, {syntax.number(one.high)}"
+    started = f"was.fed[{o}] * {syntax.number(1 / one.gain)}"
+    if adaptive.past != SIMULATED:
+        started = (
+            f"{text(one.value)} + answer(&part_{word}, part_{word}.first, x, share) "
+            f"- answer(&part_{word}, a->{part.table}, x, share)"
+        )
+    return [
+        "    {",
+        f"        const {real} x[{len(terms)}] = {{",
+        *(f"            {t}," for t in terms[:-1]),
+        f"            {terms[-1]}",
+        "        };",
+        f"        const {real} share[{len(shares)}] = {{{', '.join(shares)}}};",
+        f"        started = limit({started}, {ends});",
+        f"        if ((usable != 0) && ({text(one.there)} > {syntax.number(0.5)})) {{",
+        f"            note(a, {o}, {text(one.measured)},",
+        f"                limit({text(one.value)}, {ends}), started);",
+        f"            learn(&part_{word}, a->{part.table}, a->root_{word}, x, share,",
+        f"                {text(one.measured)}, {text(one.value)}, {int(part.joint)});",
+        "        }",
+        "    }",
+    ]
+
+
+def adaptation_runner(folder: Path, adaptive: Adaptive) -> AdaptationRunner:
+    """The files of `folder`, compiled there."""
+    program = adaptive.program
+    name, upper = program.name, program.name.upper()
+    chosen = compiler()
+    if chosen is None:
+        raise ExportError("there is no C compiler here")
+    sizes = [program.table(p.table).values.size for p in adaptive.parts]
+    copies, at = [], 0
+    for part, size in zip(adaptive.parts, sizes, strict=True):
+        copies.append(f"for (k = 0; k < {size}; k++)")
+        copies.append(f"    theta[{at} + k] = a.{part.table}[k];")
+        at += size
+    page = _HARNESS.replace("COPIES", "\n    ".join(copies))
+    harness = folder / "adapt_harness.c"
+    harness.write_text(page.replace("NAME", name).replace("UPPER", upper))
+    library = folder / f"{name}_adapt.so"
+    sources = [folder / f"{name}.c", folder / f"{name}_adapt.c", harness]
+    command = [chosen, *WARNING_FLAGS, "-O2", "-fPIC", "-shared", f"-I{folder}"]
+    command += [*map(str, sources), "-lm", "-o", str(library)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise ExportError(f"{name}_adapt.c does not compile: {done.stderr[:500]}")
+    call = ctypes.CDLL(str(library)).run
+
+    def run(inputs, measured):
+        u, y = (np.ascontiguousarray(x, float) for x in (inputs, measured))
+        theta = np.zeros(at)
+        pointers = (x.ctypes.data_as(ctypes.c_void_p) for x in (u, y, theta))
+        call(ctypes.c_int(len(u)), *pointers)
+        return theta
+
+    return run
+
+
+_HARNESS = """#include "NAME_adapt.h"
+void run(int n, const double *u, const double *y, double *theta);
+void run(int n, const double *u, const double *y, double *theta)
+{
+    NAME_state s;
+    NAME_adaptation a;
+    NAME_out out;
+    int t, k;
+    NAME_begin(&s, u, y);
+    for (t = 0; t < UPPER_HISTORY; t++) {
+        NAME_observe(&s, &u[t * UPPER_INPUTS], &y[t * UPPER_COMPUTED]);
+    }
+    NAME_adapt_begin(&a, &s);
+    for (; t < n; t++) {
+        NAME_adapt(&a, &u[t * UPPER_INPUTS], &y[t * UPPER_COMPUTED], &out);
+    }
+    COPIES
+}
+"""
