@@ -32,7 +32,7 @@ def casadi_files(program: SampleProgram, golden: Golden) -> Files:
     bare = without_gaps(program)
     ports = bare.inputs
     extra = {
-        "states": json.dumps(list(_name_states(bare))),
+        "states": json.dumps(list(name_states(bare))),
         "outputs_told": json.dumps([p.name for p in bare.reported]),
         "low": str([float(p.low) for p in ports]),
         "high": str([float(p.high) for p in ports]),
@@ -94,7 +94,7 @@ def _table(table: ParameterTable) -> list[str]:
     return [f"# {comment(table.about)}", f"{table.name} = [{numbers}]"]
 
 
-def _name_states(program: SampleProgram) -> Iterator[str]:
+def name_states(program: SampleProgram) -> Iterator[str]:
     """Names of the entries of the state, line by line."""
     for line in program.delays:
         yield from (f"{line.name}[t-{k + 1}]" for k in range(line.length))

@@ -11,6 +11,7 @@ from jaxnarx.checks import choice
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.exporters import c99, octave, proof, runners
+from jaxnarx.exporters._acados import acados_files, prove_acados
 from jaxnarx.exporters._casadi import casadi_files, prove_casadi
 from jaxnarx.exporters._javascript import javascript_files
 from jaxnarx.exporters._lower import lower
@@ -47,6 +48,9 @@ _OWN_TARGETS: dict[str, Target] = {
     ),
     "casadi": Target(
         "functions of CasADi, for optimal control", casadi_files, prove_casadi
+    ),
+    "acados": Target(
+        "C of the state form, as acados links it", acados_files, prove_acados
     ),
     "dcm": Target("DCM 2.0: parameters and maps at rest", dcm_files, prove_dcm),
     "a2l": Target("A2L: names of the C files for a tool", a2l_files, prove_a2l),
@@ -143,9 +147,10 @@ def export(
             left out.
         to: `"c"` (C99, a header, a source and a self-test), `"fmu2"`, `"fmu3"` (FMI for
             co-simulation), `"python"`, `"javascript"`, `"matlab"`, `"casadi"`
-            (functions of CasADi, which acados takes too), `"dcm"` (parameters, and maps
-            at rest), `"a2l"` (names of the C files for calibration tools), or what is
-            registered in `jaxnarx.exporters.TARGETS`.
+            (functions of CasADi, which acados takes too), `"acados"` (C of the next
+            state, its Jacobian and Hessian), `"dcm"` (parameters, and maps at rest),
+            `"a2l"` (names of the C files for calibration tools), or what is registered
+            in `jaxnarx.exporters.TARGETS`.
         name: Name of the files and their functions.
         over: The two inputs that maps at rest go over; default: of each output those
             that schedule it, then those that move it most.

@@ -219,7 +219,7 @@ def _source(program: SampleProgram) -> str:
         "",
     ]
     for table in program.tables:
-        lines += _table(name, table)
+        lines += table_lines(name, table)
     for what, ports in (("input", program.inputs), ("output", program.computed)):
         texts = ", ".join(_quote(p) for p in ports)
         lines.append(
@@ -276,12 +276,14 @@ def told_lines(program: SampleProgram, syntax: Syntax) -> list[str]:
     ]
 
 
-def _table(name: str, table: ParameterTable) -> list[str]:
+def table_lines(name: str, table: ParameterTable, *, static: bool = False) -> list[str]:
+    """A table of parameters, seen by others or by its own file alone."""
     rows = table.values.reshape(table.values.shape[0], -1) if table.values.size else []
     about = comment(table.about + (f" [{table.unit}]" if table.unit else ""))
     lines = [
         f"/* {about} */",
-        f"const {name}_real {name}_{table.name}[{table.values.size}] = {{",
+        f"{'static ' if static else ''}const {name}_real "
+        f"{name}_{table.name}[{table.values.size}] = {{",
     ]
     for row in rows:
         numbers = [f"({name}_real){digits(x)}" for x in row]

@@ -266,6 +266,15 @@ class Builder:
         self._known: dict[Op, Value] = {}
         self._purpose = FRAME
 
+    @classmethod
+    def of(cls, program: SampleProgram) -> "Builder":
+        """One that goes on from a program's operations."""
+        own = cls()
+        own.ops = list(program.ops)
+        for n, op in enumerate(own.ops):
+            own._known.setdefault(op, n)
+        return own
+
     @contextlib.contextmanager
     def purpose(self, name: str) -> Iterator[None]:
         """Give operations made inside this purpose."""

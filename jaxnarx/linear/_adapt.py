@@ -179,6 +179,12 @@ def _status(network: Network, stats: dict) -> tuple[RESULTS, dict, str]:
         name = names[output]
         return stats | {"channel": name}, f"{name}: {text}"
 
+    if not stats["samples"].any() and stats["outside"]:
+        text = (
+            f"all {stats['outside']} samples lie outside of the network's domain and "
+            "taught nothing; identify anew, or raise largest_index"
+        )
+        return RESULTS.unidentifiable, *describe(0, text)
     restarts = stats["restarts"]
     for o in np.flatnonzero(restarts == windows).tolist():
         text = "every window made the error grow and was undone; lower start"

@@ -207,6 +207,9 @@ def test_nothing_is_learnt_outside_of_the_domain(steady):
     beyond = np.count_nonzero(domain(network, strange).value.index[0] > 1)
     assert safe.stats["outside"] == beyond > 100
     np.testing.assert_allclose(physical(safe.value)[1:], [0.5, 0.8], atol=0.03)
+    far = dataset(5.0 + u, plant(u, np.full(TIME, 0.5)))
+    none = adapt(network, far, Recursive())
+    assert none.status_name == "unidentifiable" and "largest_index" in none.detail
     led = adapt(network, strange, Recursive(start=1.0, largest_index=None))
     assert led.stats["outside"] == 0
     assert led.stats["rmse"].max() > 5 * safe.stats["rmse"].max()

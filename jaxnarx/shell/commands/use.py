@@ -119,7 +119,8 @@ class Export:
     3.0 for co-simulation, binary for this machine and source for others; python and
     javascript are files of one page without dependencies; matlab is a function that
     keeps its state, for a MATLAB Function block or Octave, and a test of it; casadi is
-    a module with functions of CasADi for optimal control, which acados takes too.
+    a module with functions of CasADi for optimal control; acados is C of the next
+    state, its Jacobian and Hessian, as acados links it.
 
     Every one is compiled where it must be and run over the records of FILE, without any
     over steps within the trained ranges, beside the model, and over inputs that drop
@@ -151,6 +152,7 @@ class Export:
                 "javascript",
                 "matlab",
                 "casadi",
+                "acados",
                 "dcm",
                 "a2l",
             ],
