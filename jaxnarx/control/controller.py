@@ -313,6 +313,26 @@ def predict_outputs(
     return y[controller.first :] + errors
 
 
+class _Linearised(NamedTuple):
+    """The horizon at a plan `z`, commands in their spans and outputs in their sizes.
+
+    `y` are outputs and, in a last column if there is one, the domain's index; `slope`
+    their Jacobian by the flat `z`.
+    """
+
+    z: Float[Array, "blocks commands"]
+    y: Float[Array, "horizon columns"]
+    slope: Float[Array, "horizon columns numbers"]
+
+
+class _Moves(NamedTuple):
+    """Differences between the blocks of a plan: `matrix` times a flat plan, `change`
+    those of the present plan from the last commands on."""
+
+    matrix: Float[Array, "numbers numbers"]
+    change: Float[Array, " numbers"]
+
+
 def improve(
     controller: Controller,
     now: Estimate,
@@ -324,84 +344,119 @@ def improve(
 ) -> tuple[Float[Array, "horizon commands"], Float[Array, " limits"], Bool[Array, ""]]:
     """A plan after one step of sequential quadratic programming, by how much limits
     then give way, and whether the quadratic program was solved."""
-    # Commands are counted in their spans, outputs in their sizes.
-    blocks, size = np.array(controller.blocks), controller.size
-    span, count = controller.span, len(controller.commands)
-    of_block = np.searchsorted(blocks, np.arange(controller.horizon), side="right") - 1
-
-    def outputs(z):
-        plan = z[of_block] * span[None]
-        y = predict_outputs(controller, now, plan, given) / size[None]
-        rows = _all_inputs(controller, plan, given)
-        return (jnp.concatenate([y, domain_index(controller, slow, rows)], axis=1),) * 2
-
-    z = plan[blocks] / span[None]
-    jacobian, y = jax.jacfwd(outputs, has_aux=True)(z)
-    numbers = z.size
-    jacobian = jacobian.reshape(*y.shape, numbers)
-
-    own = np.array(controller.targets, int)
-    scale = size[own]
-    error = y[:, own] - reference / scale[None]
-    slope = jacobian[:, own]
-    pull = slope * (controller.weight / controller.horizon)[None, :, None]
-    curvature = jnp.einsum("kon,kom->nm", pull, slope)
-    gradient = jnp.einsum("kon,ko->n", pull, error)
-
-    moves = jnp.asarray(
-        np.kron(np.eye(len(blocks)) - np.eye(len(blocks), k=-1), np.eye(count)), z.dtype
-    )
-    last = jnp.zeros(numbers, z.dtype).at[:count].set(before / span)
-    change = moves @ z.ravel() - last
-    price = jnp.tile(controller.effort, len(blocks))
-    curvature = curvature + (moves.T * price[None]) @ moves
-    gradient = gradient + moves.T @ (price * change)
-    curvature = curvature + LEAST_CURVATURE * jnp.eye(numbers, dtype=z.dtype)
-
-    domain = list(range(size.shape[0], y.shape[1]))  # one column, or none
-    limits = np.array([*controller.bounded, *domain], int)
-    soft = len(limits)
+    at = _linearise(controller, now, slow, plan, given)
+    z, numbers = at.z, at.z.size
+    moves = _moves(controller, z, before)
+    curvature, gradient = _objective(controller, at, moves, reference)
+    rows, bound, soft = _constraints(controller, at, moves, before)
     wide = jnp.zeros((numbers + soft,) * 2, z.dtype)
     wide = wide.at[:numbers, :numbers].set(curvature)
     wide = wide.at[numbers:, numbers:].set(SQUARE * jnp.eye(soft, dtype=z.dtype))
     whole = jnp.concatenate([gradient, jnp.full(soft, 0.5 * LINEAR, z.dtype)])
-
-    reach = jnp.tile(controller.move / span, len(blocks))
-    low, high = (
-        b.ravel() / jnp.tile(span, len(blocks)) for b in _bounds(controller, before)
-    )
-    eye = jnp.eye(numbers, dtype=z.dtype)
-    hard = jnp.concatenate([eye, -eye, moves, -moves])
-    hard_bound = jnp.concatenate(
-        [high - z.ravel(), z.ravel() - low, reach - change, reach + change]
-    )
-    steep = jacobian[:, limits].reshape(-1, numbers)
-    give = jnp.tile(jnp.eye(soft, dtype=z.dtype), (controller.horizon, 1))
-    own = np.array(controller.bounded, int)
-    one = jnp.ones(len(domain), size.dtype)
-    edge = (
-        jnp.concatenate([(controller.ceiling - controller.guard) / size[own], one]),
-        jnp.concatenate(
-            [(controller.floor + controller.guard) / size[own], -jnp.inf * one]
-        ),
-    )
-    near = y[:, limits]
-    above, below = (edge[0][None] - near).ravel(), (near - edge[1][None]).ravel()
-    rows = jnp.concatenate(
-        [
-            jnp.concatenate([hard, jnp.zeros((len(hard), soft), z.dtype)], 1),
-            jnp.concatenate([steep, -give], 1),
-            jnp.concatenate([-steep, -give], 1),
-            jnp.concatenate(
-                [jnp.zeros((soft, numbers), z.dtype), -jnp.eye(soft, dtype=z.dtype)], 1
-            ),
-        ]
-    )
-    bound = jnp.concatenate([hard_bound, above, below, jnp.zeros(soft, z.dtype)])
     found = solve_quadratic(wide, whole, rows, bound, jnp.zeros_like(whole))
     step, excess = found.z[:numbers], found.z[numbers:]
     solved = jnp.isfinite(step).all() & (found.residual < SOLVED)
     z = jnp.where(solved, z + step.reshape(z.shape), z)
+    own = np.array(controller.bounded, int)
     # The domain's is no limit of an output.
-    excess = jnp.where(solved, excess, 0.0)[: len(own)] * size[own]
-    return z[of_block] * span[None], excess, solved
+    excess = jnp.where(solved, excess, 0.0)[: len(own)] * controller.size[own]
+    return z[_block_of(controller)] * controller.span[None], excess, solved
+
+
+def _block_of(controller: Controller) -> np.ndarray:
+    """The block of every sample of the horizon."""
+    samples = np.arange(controller.horizon)
+    return np.searchsorted(np.array(controller.blocks), samples, side="right") - 1
+
+
+def _linearise(
+    controller: Controller,
+    now: Estimate,
+    slow: Float[Array, " used"],
+    plan: Float[Array, "horizon commands"],
+    given: Float[Array, "horizon given"],
+) -> _Linearised:
+    span, size = controller.span[None], controller.size[None]
+    of_block = _block_of(controller)
+
+    def outputs(z):
+        plan = z[of_block] * span
+        y = predict_outputs(controller, now, plan, given) / size
+        rows = _all_inputs(controller, plan, given)
+        return (jnp.concatenate([y, domain_index(controller, slow, rows)], axis=1),) * 2
+
+    z = plan[np.array(controller.blocks)] / span
+    slope, y = jax.jacfwd(outputs, has_aux=True)(z)
+    return _Linearised(z, y, slope.reshape(*y.shape, z.size))
+
+
+def _moves(
+    controller: Controller,
+    z: Float[Array, "blocks commands"],
+    before: Float[Array, " commands"],
+) -> _Moves:
+    blocks, count = z.shape
+    apart = np.eye(blocks) - np.eye(blocks, k=-1)
+    matrix = jnp.asarray(np.kron(apart, np.eye(count)), z.dtype)
+    last = jnp.zeros(z.size, z.dtype).at[:count].set(before / controller.span)
+    return _Moves(matrix, matrix @ z.ravel() - last)
+
+
+def _objective(
+    controller: Controller,
+    at: _Linearised,
+    moves: _Moves,
+    reference: Float[Array, "horizon targets"],
+) -> tuple[Float[Array, "numbers numbers"], Float[Array, " numbers"]]:
+    """Half the Gauss-Newton Hessian, and half the gradient, of errors and moves."""
+    own = np.array(controller.targets, int)
+    error = at.y[:, own] - reference / controller.size[own][None]
+    slope = at.slope[:, own]
+    pull = slope * (controller.weight / controller.horizon)[None, :, None]
+    price = jnp.tile(controller.effort, len(controller.blocks))
+    curvature = jnp.einsum("kon,kom->nm", pull, slope)
+    curvature = curvature + (moves.matrix.T * price[None]) @ moves.matrix
+    curvature = curvature + LEAST_CURVATURE * jnp.eye(at.z.size, dtype=at.z.dtype)
+    gradient = jnp.einsum("kon,ko->n", pull, error)
+    return curvature, gradient + moves.matrix.T @ (price * moves.change)
+
+
+def _constraints(
+    controller: Controller,
+    at: _Linearised,
+    moves: _Moves,
+    before: Float[Array, " commands"],
+) -> tuple[Float[Array, "rows unknowns"], Float[Array, " rows"], int]:
+    """Rows and bounds on a step and on what limits give way by; and how many of these
+    there are: an output's each, and the domain's."""
+    z, span, numbers = at.z, controller.span, at.z.size
+    eye = jnp.eye(numbers, dtype=z.dtype)
+    reach = jnp.tile(controller.move / span, len(z))
+    low, high = (
+        b.ravel() / jnp.tile(span, len(z)) for b in _bounds(controller, before)
+    )
+    hard = jnp.concatenate([eye, -eye, moves.matrix, -moves.matrix])
+    hard_bound = jnp.concatenate(
+        [high - z.ravel(), z.ravel() - low, reach - moves.change, reach + moves.change]
+    )
+    own, size = np.array(controller.bounded, int), controller.size
+    domain = np.arange(size.shape[0], at.y.shape[1])  # one column, or none
+    limits, soft = np.concatenate([own, domain]), len(own) + len(domain)
+    one = jnp.ones(len(domain), size.dtype)
+    ceiling = (controller.ceiling - controller.guard) / size[own]
+    floor = (controller.floor + controller.guard) / size[own]
+    above = jnp.concatenate([ceiling, one])[None] - at.y[:, limits]
+    below = at.y[:, limits] - jnp.concatenate([floor, -jnp.inf * one])[None]
+    steep = at.slope[:, limits].reshape(-1, numbers)
+    give = jnp.tile(jnp.eye(soft, dtype=z.dtype), (controller.horizon, 1))
+    rows = jnp.block(
+        [
+            [hard, jnp.zeros((len(hard), soft), z.dtype)],
+            [steep, -give],
+            [-steep, -give],
+            [jnp.zeros((soft, numbers), z.dtype), -jnp.eye(soft, dtype=z.dtype)],
+        ]
+    )
+    nothing = jnp.zeros(soft, z.dtype)
+    bound = jnp.concatenate([hard_bound, above.ravel(), below.ravel(), nothing])
+    return rows, bound, soft
