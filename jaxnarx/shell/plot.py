@@ -13,7 +13,8 @@ from jaxtyping import Array
 from matplotlib.figure import Figure
 
 import jaxnarx.evaluation as evaluation
-from jaxnarx.checks import choice
+from jaxnarx.calibration import Calibration
+from jaxnarx.checks import choice, require_known
 from jaxnarx.confidence import Uncertainty
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError, suggest
@@ -28,6 +29,7 @@ from jaxnarx.shell.figures import relevance as worth
 from jaxnarx.shell.figures import report as figures
 from jaxnarx.shell.figures import residuals as tests
 from jaxnarx.shell.figures.adaptation import adaptation_picture
+from jaxnarx.shell.figures.calibration import map_picture, trajectories
 from jaxnarx.shell.figures.draw import draw
 from jaxnarx.shell.figures.leaderboard import COST_LABELS, error_over_operations
 from jaxnarx.shell.figures.linear import bode, poles, step_responses
@@ -40,6 +42,8 @@ from jaxnarx.solution import Solution
 __all__ = [
     "adaptation",
     "bode",
+    "calibrated_cycle",
+    "calibrated_map",
     "compare",
     "error_map",
     "errors_by_size",
@@ -69,6 +73,25 @@ def adaptation(found: Solution[Network], data: Dataset, window: int = 100) -> Fi
     many samples the error, that of the network as it began, and their difference."""
     step = window * float(data.sample_time)
     return draw(adaptation_picture(found, step))
+
+
+def calibrated_map(calibration: Calibration, name: str) -> Figure:
+    """Draw a map of `jnx.calibration.optimise` before, after, and what has changed;
+    points that the cycle never visits are crossed."""
+    names = [one.name for one in calibration.maps]
+    require_known(name, names, "name", f"there is no map {name!r}")
+    return draw(map_picture(calibration.maps[names.index(name)]))
+
+
+def calibrated_cycle(calibration: Calibration, *, record: int = 0) -> Figure:
+    """Draw what maps set, outputs and the domain's index over a record of the cycle,
+    before and after."""
+    count = len(calibration.inputs)
+    if record not in range(count):
+        raise SpecError(
+            f"record must be from 0 to {count - 1}, got {record}", field="record"
+        )
+    return draw(trajectories(calibration, record))
 
 
 def partition(
