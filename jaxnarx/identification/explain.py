@@ -4,7 +4,12 @@ import math
 from typing import Any
 
 from jaxnarx.formatting import ratio_text
-from jaxnarx.identification.leaderboard import Candidate, Leaderboard
+from jaxnarx.identification.leaderboard import (
+    LEAST_ERROR,
+    WRONG_SIGN,
+    Candidate,
+    Leaderboard,
+)
 
 LINEAR_FAMILIES = (
     "constant",
@@ -94,8 +99,14 @@ def sentences(board: Leaderboard, output: str, taken: int | None = None) -> list
     """Why this one, what others would cost, and which records it serves worst."""
     row = candidate_in_use(board, output, taken)
     told = [_choice(board, output, row)]
-    told += [*_best(board, row), *_others(board, row), *_linear(board, row)]
-    told += [*_explain_vetoes(board, output), *_groups(board, row)]
+    told += [
+        *_physics(row),
+        *_best(board, row),
+        *_others(board, row),
+        *_linear(board, row),
+    ]
+    told += [*_explain_vetoes(board, output), *_explain_signs(board, output)]
+    told += _groups(board, row)
     return told
 
 
@@ -158,6 +169,22 @@ def _nested(row: Candidate) -> str:
     if row.nested is None:
         return ""
     return f" (nested {ratio_text(row.nested)}: made again without every group)"
+
+
+def _physics(row: Candidate) -> list[str]:
+    """The price of the signs that physics asks, where they are constraints."""
+    if row.unconstrained is None or row.free_run is None:
+        return []
+    told = "Its gains at rest have the signs that physics asks"
+    change = row.free_run / max(row.unconstrained, LEAST_ERROR) - 1
+    if abs(change) < 5e-4:
+        return [f"{told}; without constraints its error is the same."]
+    more = "less" if change > 0 else "more"
+    error = ratio_text(row.unconstrained)
+    return [
+        f"{told}; without constraints its error on records left out is {error}, "
+        f"{abs(1 / (1 + change) - 1):.1%} {more}."
+    ]
 
 
 def _best(board: Leaderboard, row: Candidate) -> list[str]:
@@ -226,6 +253,15 @@ def _explain_vetoes(board: Leaderboard, output: str) -> list[str]:
         return []
     is_are = "diverges" if lost == 1 else "diverge"
     return [f"{lost} of {len(rows)} candidates {is_are} on records left out: vetoed."]
+
+
+def _explain_signs(board: Leaderboard, output: str) -> list[str]:
+    rows = board.of(output)
+    lost = sum(r.status == WRONG_SIGN for r in rows)
+    if not lost:
+        return []
+    has = "has" if lost == 1 else "have"
+    return [f"{lost} of {len(rows)} candidates {has} gains against physics: vetoed."]
 
 
 def _groups(board: Leaderboard, row: Candidate) -> list[str]:

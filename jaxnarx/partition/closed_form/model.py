@@ -56,6 +56,8 @@ class ClosedForm:
     """Coefficients that are not those of least squares of the free run ..."""
     left_out: Sequence[Float[np.ndarray, " _"]] | None = None
     """... and what such models answer over every group made without it."""
+    unconstrained: float | None = None
+    """`free_run` without the constraints of physics; None where there are none."""
 
     @property
     def free_run(self) -> float:

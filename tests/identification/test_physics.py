@@ -1,0 +1,61 @@
+"""Signs of gains in a search: kept, told, and part of what a folder holds."""
+
+import dataclasses
+
+import pytest
+from search_problems import plant
+
+from jaxnarx.errors import SpecError
+from jaxnarx.evaluation import count_wrong_signs
+from jaxnarx.identification import Leaderboard, Physics, identify, sentences
+
+RIGHT, WRONG = Physics(increases_with=["u"]), Physics(decreases_with=["u"])
+"""What the plant does, and what it does not."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("search")
+
+
+@pytest.fixture(scope="module")
+def fit(folder):
+    return identify(plant(), preset="linear", physics={"y": RIGHT}, folder=folder)
+
+
+def test_right_signs_cost_nothing(fit):
+    board = fit.stats["leaderboard"]
+    for row in board:
+        assert row.unconstrained == pytest.approx(row.free_run)
+    told = " ".join(sentences(board, "y"))
+    assert "signs that physics asks; without constraints its error is the same" in told
+
+
+def test_wrong_signs_are_kept_too_and_their_price_told():
+    """What moves stays right by slow dynamics that take it back at rest."""
+    found = identify(plant(), preset="linear", physics={"y": WRONG})
+    board = found.stats["leaderboard"]
+    chosen = board.choose("y")
+    assert chosen.free_run > 1.4 * chosen.unconstrained
+    counted = count_wrong_signs(found.value, plant(), {"y": WRONG})
+    assert counted["y"].wrong == 0 < counted["y"].known
+    (told,) = [s for s in sentences(board, "y") if "physics" in s]
+    assert told.endswith("% less.")
+
+
+def test_a_folder_goes_on_with_the_same_physics_alone(fit, folder):
+    again = identify(plant(), preset="linear", physics={"y": RIGHT}, folder=folder)
+    assert again.stats["leaderboard"] == fit.stats["leaderboard"]
+    for other in ({"y": WRONG}, None):
+        with pytest.raises(SpecError, match="a search that differs in physics"):
+            identify(plant(), preset="linear", physics=other, folder=folder)
+
+
+def test_vetoes_are_told(fit):
+    board = fit.stats["leaderboard"]
+    lost = dataclasses.replace(
+        board.rows[-1], number=99, free_run=None, status="wrong sign"
+    )
+    more = Leaderboard((*board.rows, lost), board.group_names)
+    told = " ".join(sentences(more, "y"))
+    assert f"1 of {len(more)} candidates has gains against physics: vetoed" in told
