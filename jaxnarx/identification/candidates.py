@@ -389,6 +389,7 @@ class CandidateSearch:
             groups=_list_errors(found.groups()),
             one_step=found.one_step(),
             unconstrained=found.unconstrained,
+            detail=_turned(found),
             diverged=lost,
             status="diverged" if lost else "ok",
         )
@@ -575,6 +576,16 @@ class CandidateSearch:
 def _title(family: str, name: str) -> str:
     """A candidate as its sums name it."""
     return f"{family}, {name}"
+
+
+def _turned(found: ClosedForm) -> str:
+    """What the constraints of physics have changed, in words."""
+    wrong = [
+        f"by {name} at {count} of {of} operating points"
+        for name, (count, of) in found.turned.items()
+        if count
+    ]
+    return f"without constraints its gain is wrong {', '.join(wrong)}" if wrong else ""
 
 
 def _part(row: Candidate, found: CrossValidation, network: Network) -> Summand:

@@ -176,14 +176,14 @@ def _physics(row: Candidate) -> list[str]:
     if row.unconstrained is None or row.free_run is None:
         return []
     told = "Its gains at rest have the signs that physics asks"
-    change = row.free_run / max(row.unconstrained, LEAST_ERROR) - 1
-    if abs(change) < 5e-4:
-        return [f"{told}; without constraints its error is the same."]
-    more = "less" if change > 0 else "more"
-    error = ratio_text(row.unconstrained)
+    ratio = row.unconstrained / max(row.free_run, LEAST_ERROR)
+    same = abs(ratio - 1) < 5e-4
+    more = f"{abs(ratio - 1):.1%} {'more' if ratio > 1 else 'less'}"
+    figures = "the same" if same else f"{ratio_text(row.unconstrained)}, {more}"
+    price = f"{told}; without constraints its error on records left out is {figures}."
     return [
-        f"{told}; without constraints its error on records left out is {error}, "
-        f"{abs(1 / (1 + change) - 1):.1%} {more}."
+        price,
+        *([f"{row.detail[0].upper()}{row.detail[1:]}."] if row.detail else []),
     ]
 
 

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
@@ -59,9 +59,19 @@ class RestPairs:
 
     low: Float[np.ndarray, "pairs inputs"]
     high: Float[np.ndarray, "pairs inputs"]
+    moved: tuple[str, ...]
+    """The input in which the two differ, pair by pair."""
 
     def __len__(self) -> int:
         return len(self.low)
+
+    def count(self, chosen: Bool[np.ndarray, " pairs"]) -> dict[str, tuple[int, int]]:
+        """The numbers of chosen pairs and of all, by input."""
+        moved = np.array(self.moved)
+        return {
+            name: (int(chosen[moved == name].sum()), int((moved == name).sum()))
+            for name in dict.fromkeys(self.moved)
+        }
 
 
 def make_pairs(
@@ -80,7 +90,7 @@ def make_pairs(
     names, inputs = data.channels.input_names, len(data.channels.inputs)
     least, most = (end[:inputs] for end in ranges(data))
     rows = operating_points(data, points)
-    low, high = [], []
+    low, high, moved = [], [], []
     for name, sign in physics.signs.items():
         s = names.index(name)
         if not most[s] > least[s]:
@@ -96,7 +106,8 @@ def make_pairs(
             ends = [_with_input(rows, s, value) for value in (below, above)]
             low.append(ends[0 if sign > 0 else 1])
             high.append(ends[1 if sign > 0 else 0])
-    return RestPairs(np.concatenate(low), np.concatenate(high))
+            moved += [name] * len(rows)
+    return RestPairs(np.concatenate(low), np.concatenate(high), tuple(moved))
 
 
 def operating_points(data: Dataset, points: int) -> Float[np.ndarray, "points inputs"]:
@@ -204,11 +215,12 @@ def constrain(form: ClosedForm, pairs: RestPairs) -> ClosedForm:
         return form
     stage, design = form.stage, form.stage.design
     rows = rises(design, pairs)
+    least = -LEAST_VIOLATION * design.a.sum()
 
     def solve(group: int | None) -> Float[np.ndarray, " columns"]:
         theta = np.zeros(design.equations.columns)
         at, own = stage.choose_columns(group)
-        if np.any(rows[:, at] @ own < -LEAST_VIOLATION * design.a.sum()):
+        if np.any(rows[:, at] @ own < least):
             system = design.equations.exclude_group(group)
             gram, size = system.gram[np.ix_(at, at)], system.size[at]
             own = solve_signed(gram, system.right[at], stage.ridge, rows[:, at] / size)
@@ -226,4 +238,5 @@ def constrain(form: ClosedForm, pairs: RestPairs) -> ClosedForm:
         given=solve(None),
         left_out=left,
         unconstrained=form.free_run,
+        turned=pairs.count(rows @ form.coefficients() < least),
     )

@@ -29,7 +29,12 @@ from jaxnarx.partition.closed_form.growth import (
     grow_regions,
 )
 from jaxnarx.partition.closed_form.model import ClosedForm, ClosedStructure, tame
-from jaxnarx.partition.closed_form.physics import RestPairs, constrain, rises
+from jaxnarx.partition.closed_form.physics import (
+    LEAST_VIOLATION,
+    RestPairs,
+    constrain,
+    rises,
+)
 from jaxnarx.partition.closed_form.profile import DataProfile
 from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 from jaxnarx.partition.closed_form.terms import (
@@ -422,9 +427,13 @@ class ClosedSearch:
         free = self._equation_error(signals, order, None)
         if self.pairs is None:
             return free
-        signs = rises(_bare(signals, np.ones(1)), self.pairs)
-        signed = self._equation_error(signals, order, signs)
-        return dataclasses.replace(signed, unconstrained=free.free_run)
+        rows = rises(_bare(signals, np.ones(1)), self.pairs)
+        signed = self._equation_error(signals, order, rows)
+        return dataclasses.replace(
+            signed,
+            unconstrained=free.free_run,
+            turned=self.pairs.count(rows @ free.coefficients() < -LEAST_VIOLATION),
+        )
 
     def _equation_error(
         self,

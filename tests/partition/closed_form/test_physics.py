@@ -21,6 +21,8 @@ from jaxnarx.settings import require_physics
 
 KNOWN = Physics(increases_with=["a", "b"])
 """What the plant does; noise hides it for `b`."""
+HALVES = ("a", slice(0, 100)), ("b", slice(100, 200))
+"""Pairs in which an input moves."""
 
 
 def plant(inputs: int = 2) -> Dataset:
@@ -83,11 +85,13 @@ def test_signs_that_noise_has_turned_are_repaired(data, free, signed, pairs):
     assert counted[0].wrong > 5 and counted[1] == (0, counted[0].known)
 
 
-def test_the_price_is_told(free, signed):
+def test_the_price_is_told(free, signed, pairs):
     for before, after in zip(free, signed, strict=True):
         assert (before.family, before.name) == (after.family, after.name)
         assert after.unconstrained == pytest.approx(before.free_run, rel=1e-9)
-        assert before.unconstrained is None
+        assert before.unconstrained is None and not before.turned
+        wrong = {n: int((slopes(before, pairs)[k] < -1e-9).sum()) for n, k in HALVES}
+        assert {n: count for n, (count, of) in after.turned.items()} == wrong
         assert after.free_run < 1.05 * before.free_run
 
 

@@ -28,7 +28,8 @@ def test_right_signs_cost_nothing(fit):
     for row in board:
         assert row.unconstrained == pytest.approx(row.free_run)
     told = " ".join(sentences(board, "y"))
-    assert "signs that physics asks; without constraints its error is the same" in told
+    assert "without constraints its error on records left out is the same." in told
+    assert "wrong" not in told
 
 
 def test_wrong_signs_are_kept_too_and_their_price_told():
@@ -39,8 +40,11 @@ def test_wrong_signs_are_kept_too_and_their_price_told():
     assert chosen.free_run > 1.4 * chosen.unconstrained
     counted = count_wrong_signs(found.value, plant(), {"y": WRONG})
     assert counted["y"].wrong == 0 < counted["y"].known
-    (told,) = [s for s in sentences(board, "y") if "physics" in s]
-    assert told.endswith("% less.")
+    price, wrong = [
+        s for s in sentences(board, "y") if "without constraints" in s.lower()
+    ]
+    assert price.endswith("% less.")
+    assert wrong.endswith("its gain is wrong by u at 100 of 100 operating points.")
 
 
 def test_a_folder_goes_on_with_the_same_physics_alone(fit, folder):
