@@ -292,8 +292,8 @@ class Leaderboard:
 
 
 ROW_COLUMNS = (
-    "output number family name free_run standard_error nested one_step diverged "
-    "operations parameters seconds status detail"
+    "output number family name free_run standard_error nested unconstrained one_step "
+    "diverged operations parameters seconds status detail"
 ).split()
 """Columns of the table that are fields of a row."""
 BOARD_COLUMNS = (

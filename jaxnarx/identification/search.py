@@ -25,7 +25,7 @@ from jaxnarx.identification.search_folder import ROW_VERSION, SearchFolder, open
 from jaxnarx.identification.time_budget import TimeBudget
 from jaxnarx.identification.worker import OutputTask, SearchWorker, cores
 from jaxnarx.models import Network, combine_outputs
-from jaxnarx.partition import profile_data
+from jaxnarx.partition import make_pairs, profile_data
 from jaxnarx.settings import PARTITIONS, PRESETS, Physics, plain_value
 from jaxnarx.solution import RESULTS, Solution
 
@@ -52,6 +52,8 @@ def search(
     """The best model by groups left out; see `jaxnarx.identify`."""
     tell = progress or (lambda event: None)
     begin = time.time()
+    for name, signs in physics.items():
+        make_pairs(data, signs, output=name)  # an error is told before any work
     profiles = {name: profile_data(data, name) for name in outputs}
     if groups is None:
         groups = make_groups(data, gap=max(one.memory for one in profiles.values()))

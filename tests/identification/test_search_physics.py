@@ -1,7 +1,10 @@
 """Signs of gains in a search: kept, told, and part of what a folder holds."""
 
+import csv
 import dataclasses
+import io
 
+import numpy as np
 import pytest
 from search_problems import plant
 
@@ -63,3 +66,17 @@ def test_vetoes_are_told(fit):
     more = Leaderboard((*board.rows, lost), board.group_names)
     told = " ".join(sentences(more, "y"))
     assert f"1 of {len(more)} candidates has gains against physics: vetoed" in told
+
+
+def test_an_input_that_stands_still_is_told_before_any_work(tmp_path):
+    records = [dataclasses.replace(r, u=np.zeros_like(r.u)) for r in plant()]
+    still = dataclasses.replace(plant(), records=tuple(records))
+    with pytest.raises(SpecError, match="physics of y: u does not move"):
+        identify(still, physics={"y": RIGHT}, folder=tmp_path / "search")
+    assert not (tmp_path / "search").exists()
+
+
+def test_the_table_has_the_error_without_constraints(fit):
+    table = csv.DictReader(io.StringIO(fit.stats["leaderboard"].to_csv()))
+    for row in table:
+        assert float(row["unconstrained"]) == pytest.approx(float(row["free_run"]))

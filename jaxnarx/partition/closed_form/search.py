@@ -276,9 +276,15 @@ class ClosedSearch:
         """Candidates from the mean to regions, cheap ones first; of a root output-error
         models and what follows.
 
-        Structures are grown without constraints; what is judged and kept has them.
+        Structures are grown without constraints; what is judged and kept has them. One
+        whose constrained coefficients cannot be found is left out.
         """
-        yield from map(self.constrain, self._grow_all(max_models, degree, grown_roots))
+        for form in self._grow_all(max_models, degree, grown_roots):
+            try:
+                signed = self.constrain(form)
+            except np.linalg.LinAlgError:
+                continue
+            yield signed
 
     def _grow_all(
         self, max_models: int, degree: int, grown_roots: int

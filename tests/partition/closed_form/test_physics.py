@@ -253,3 +253,14 @@ def test_an_input_that_stands_still_has_no_sign():
 def test_physics_reads_as_a_sentence():
     told = Physics(increases_with=["a", "b"], decreases_with=["c"])
     assert str(told) == "rises with a, b and falls with c"
+
+
+def test_one_without_a_solution_is_left_out(data, pairs, monkeypatch):
+    def fail(form, pairs):
+        if form.family == "constant":
+            return form
+        raise np.linalg.LinAlgError("no end")
+
+    monkeypatch.setattr("jaxnarx.partition.closed_form.search.constrain", fail)
+    found = list(search_of(data, pairs).candidates(1, degree=1))
+    assert [one.family for one in found] == ["constant"]
