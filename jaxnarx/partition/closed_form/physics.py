@@ -37,16 +37,18 @@ from jaxnarx.settings import Physics
 INPUT_STEP_SHARE = 0.05
 """Share of its trained range by which an input is moved to either side of an operating
 point."""
-OPERATING_POINTS = 100
-"""Operating points at which every sign is asked: measured samples, evenly spread."""
+OPERATING_POINTS = 1000
+"""Operating points at which every sign is asked: measured samples, evenly spread. Of a
+measured engine's NOx with five regions a hundred left 17 gains of 402 at other points
+wrong, a thousand three, at half a second and no larger an error."""
 ACTIVE_FACTOR = 30
 """Most steps of the search for the active rows, over their number."""
 ROW_SLACK = 1e-6
 """Its square is what a row of unit length gives way under unit force: neighbouring
 operating points have nearly the same row."""
 LEAST_VIOLATION = 1e-9
-"""Fall from the lower to the higher point, in standard deviations of the output, that
-counts as rounding."""
+"""Fall from the lower to the higher point that counts as rounding: in standard
+deviations of the output, or as a share of the product of norms."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -83,9 +85,9 @@ def make_pairs(
 ) -> RestPairs:
     """What physics says of an output, at measured samples that are spread evenly.
 
-    An input with few values is moved from each to the next, others
-    by `INPUT_STEP_SHARE` of their range to either side. SpecError where an input does
-    not move in the data: no term of it can be trained.
+    An input with few values is moved from each to the next, others by
+    `INPUT_STEP_SHARE` of their range to either side. SpecError where an input does not
+    move in the data: no term of it can be trained.
     """
     names, inputs = data.channels.input_names, len(data.channels.inputs)
     least, most = (end[:inputs] for end in ranges(data))
@@ -179,29 +181,42 @@ def solve_signed(
 ) -> Float[np.ndarray, " columns"]:
     """The solution of normal equations with `rows @ solution >= 0`.
 
-    They are scaled to a unit diagonal, to which the ridge is added. LinAlgError where
-    the search for the active rows does not end.
+    They are scaled to a unit diagonal, to which the ridge is added. Rows join as they
+    are broken, until none is. LinAlgError where the search for the active ones among
+    them does not end.
     """
-    from scipy.optimize import nnls  # it loads half of scipy
-
     power = np.diagonal(gram)
     size = np.sqrt(np.where(power > 0, power, 1.0))
     scaled = gram / np.outer(size, size) + np.diag(np.where(power > 0, ridge, 1.0))
     root = np.linalg.cholesky(scaled)
     free = scipy.linalg.solve_triangular(root, right / size, lower=True)
-    dual = scipy.linalg.solve_triangular(root, (rows / size).T, lower=True)
-    length = np.linalg.norm(dual, axis=0)
-    dual = dual[:, length > 0] / length[length > 0]
+    rows = rows / size
+    length = np.linalg.norm(rows, axis=1)
+    left, active = free, np.zeros(len(rows), bool)
+    while True:
+        theta = scipy.linalg.solve_triangular(root, left, lower=True, trans=1)
+        broken = rows @ theta < -LEAST_VIOLATION * length * np.linalg.norm(theta)
+        if not np.any(broken & ~active):
+            return theta / size
+        active |= broken
+        dual = scipy.linalg.solve_triangular(root, rows[active].T, lower=True)
+        left = free + _force(dual, free)
+
+
+def _force(
+    dual: Float[np.ndarray, "columns rows"], free: Float[np.ndarray, " columns"]
+) -> Float[np.ndarray, " columns"]:
+    """The least step from `free` to where no column of `dual` points against it."""
+    from scipy.optimize import nnls  # it loads half of scipy
+
+    dual = dual / np.linalg.norm(dual, axis=0)
     slack = ROW_SLACK * np.eye(dual.shape[1])
     target = np.concatenate([-free, np.zeros(len(slack))])
+    most = ACTIVE_FACTOR * len(slack)
     try:
-        force = nnls(
-            np.concatenate([dual, slack]), target, maxiter=ACTIVE_FACTOR * len(rows)
-        )[0]
+        return dual @ nnls(np.concatenate([dual, slack]), target, maxiter=most)[0]
     except RuntimeError as error:
         raise np.linalg.LinAlgError(f"signs of gains: {error}") from error
-    left = free + dual @ force
-    return scipy.linalg.solve_triangular(root, left, lower=True, trans=1) / size
 
 
 def constrain(form: ClosedForm, pairs: RestPairs) -> ClosedForm:

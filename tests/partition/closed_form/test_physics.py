@@ -47,7 +47,7 @@ def data() -> Dataset:
 
 @pytest.fixture(scope="module")
 def pairs(data):
-    return make_pairs(data, KNOWN, output="y")
+    return make_pairs(data, KNOWN, output="y", points=100)
 
 
 def search_of(data, pairs=None, root=False) -> ClosedSearch:
