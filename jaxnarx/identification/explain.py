@@ -99,14 +99,9 @@ def sentences(board: Leaderboard, output: str, taken: int | None = None) -> list
     """Why this one, what others would cost, and which records it serves worst."""
     row = candidate_in_use(board, output, taken)
     told = [_choice(board, output, row)]
-    told += [
-        *_physics(row),
-        *_best(board, row),
-        *_others(board, row),
-        *_linear(board, row),
-    ]
-    told += [*_explain_vetoes(board, output), *_explain_signs(board, output)]
-    told += _groups(board, row)
+    told += [*_physics(row), *_best(board, row), *_others(board, row)]
+    told += [*_linear(board, row), *_explain_vetoes(board, output)]
+    told += [*_explain_signs(board, output), *_groups(board, row)]
     return told
 
 
@@ -180,11 +175,9 @@ def _physics(row: Candidate) -> list[str]:
     same = abs(ratio - 1) < 5e-4
     more = f"{abs(ratio - 1):.1%} {'more' if ratio > 1 else 'less'}"
     figures = "the same" if same else f"{ratio_text(row.unconstrained)}, {more}"
-    price = f"{told}; without constraints its error on records left out is {figures}."
-    return [
-        price,
-        *([f"{row.detail[0].upper()}{row.detail[1:]}."] if row.detail else []),
-    ]
+    told = f"{told}; without constraints its error on records left out is {figures}."
+    detail = f"{row.detail[:1].upper()}{row.detail[1:]}."
+    return [told, detail] if row.detail else [told]
 
 
 def _best(board: Leaderboard, row: Candidate) -> list[str]:
