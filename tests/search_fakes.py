@@ -100,8 +100,10 @@ class FakeSearch:
         states,
         folder,
         progress,
+        physics,
     ) -> Solution[Network]:
         self.options = {"preset": preset, "budget": budget, "candidates": candidates}
+        self.options |= {"physics": physics} if physics else {}
         self.options["groups"] = [record.group for record in data]
         key = {"preset": preset, "records": data.names, "outputs": outputs}
         if self.error is not None:

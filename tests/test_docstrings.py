@@ -24,6 +24,7 @@ PUBLIC = {n: getattr(jnx, n) for n in jnx.__all__} | {
         *("data", "design", "evaluation", "inverse", "linear", "models"),
         *("refinement", "regressors", "selection", "simulation"),
         *("calibration", "confidence", "control", "exporters", "fleet"),
+        "identification",
     )
     for name in dir(getattr(jnx, room))
     if name not in jnx.__all__

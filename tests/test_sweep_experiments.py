@@ -173,3 +173,13 @@ def test_a_step_of_control_is_timed_beside_ipopt(tmp_path):
     near = figures["first command from IPOPT's, shares of its range, one round"]
     assert near["median"] < 0.05
     assert figures["IPOPT over ours, from Python"] > 0
+
+
+@pytest.mark.slow
+def test_signs_of_gains_on_a_tenth_of_the_records(tmp_path, measured):
+    options = "--results", str(tmp_path), "--runs", str(tmp_path / "runs")
+    experiment("physics/gengine1_tenth.py", *options)
+    figures = json.loads((tmp_path / "physics_gengine1.json").read_text())["figures"]
+    (row,) = figures["rows"]
+    assert row["output"] == "T_exhaust" and row["with"]["wrong gains"] == 0
+    assert row["with"]["known gains"] == 30 and figures["summary"]["no wrong gain"]

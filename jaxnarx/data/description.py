@@ -16,6 +16,7 @@ from jaxnarx.data.missing import require_missing
 from jaxnarx.data.readers.columns import Asked, CsvLayout
 from jaxnarx.data.sampling import STATIC_ADVICE, positive_sample_time, require_time_unit
 from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
+from jaxnarx.settings import Physics, from_dict, require_physics
 
 PARTS = ("train", "validate", "test")
 
@@ -27,7 +28,8 @@ class Description:
     `columns` maps channel names to column names; `patterns` maps parts (`files`, or
     `train`, `validate`, `test`) to glob patterns, `groups` the names of what is left
     out together in cross-validation. `preparation` is a file, relative to
-    the root, that tells how the files were made from raw ones.
+    the root, that tells how the files were made from raw ones. `physics` has the signs
+    of gains by output.
     """
 
     channels: Channels
@@ -42,6 +44,7 @@ class Description:
     preparation: str | None = None
     time_unit: str | None = None
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    physics: Mapping[str, Physics] = dataclasses.field(default_factory=dict)
 
     def require_time(self) -> None:
         """SpecError where nothing says when rows were taken; for files that do not."""
@@ -123,7 +126,7 @@ _KIND_WORDS = {
 
 def parse_description(table: Mapping[str, Any]) -> Description:
     """The description in an already parsed TOML table; SpecError names the field."""
-    _require_keys(table, ("data", "channels", "records"), "")
+    _require_keys(table, ("data", "channels", "records", "physics"), "")
     data = _section(table, "data")
     _require_keys(data, _DATA_KEYS, "data")
     settings = {
@@ -154,6 +157,7 @@ def parse_description(table: Mapping[str, Any]) -> Description:
         preparation=preparation,
         time_unit=settings.get("time_unit"),
         groups=_groups(records.get("groups", {})),
+        physics=_physics(table.get("physics", {}), channels),
     )
 
 
@@ -263,6 +267,17 @@ def _groups(value: Any) -> dict[str, tuple[str, ...]]:
                 f"{field}: the group {name!r} has no pattern or no name", field=field
             )
     return {name: tuple(own) for name, own in listed.items()}
+
+
+def _physics(value: Any, channels: Channels) -> dict[str, Physics]:
+    """Signs of gains by output."""
+    table = _require_type(value, dict, "physics")
+    found = {}
+    for name, own in table.items():
+        where = f"physics.{name}"
+        found[name] = from_dict(Physics, _require_type(own, dict, where), where)
+    require_physics(found, channels.input_names, channels.output_names)
+    return found
 
 
 _NO_DELIMITER = string.digits + string.ascii_letters + '"+-.\r\n\0'

@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from jaxnarx.argument_checks import guard_arguments
@@ -22,6 +22,7 @@ from jaxnarx.data.readers.csv_layout import find_layout
 from jaxnarx.data.units import Conversion, bare, conversion
 from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
 from jaxnarx.formatting import brief, page
+from jaxnarx.settings import Physics
 
 MAX_BYTES = 4e9
 """Limit of the expanded size of all files of a description, in bytes. Reading takes up
@@ -32,7 +33,8 @@ to five times as much memory for a moment."""
 class Split:
     """The parts of a description; a part that it does not name is None.
 
-    `preparation` is what was done to the files before, if the description says so.
+    `preparation` is what was done to the files before, if the description says so;
+    `physics` are the signs of gains that it states, by output.
     """
 
     train: Dataset | None
@@ -40,12 +42,14 @@ class Split:
     test: Dataset | None
     all: Dataset
     preparation: Preparation | None = None
+    physics: Mapping[str, Physics] = dataclasses.field(default_factory=dict)
 
     def __str__(self) -> str:
         parts = {"train": self.train, "validate": self.validate, "test": self.test}
         told = [f"{name}: {part}" for name, part in parts.items() if part is not None]
         if self.preparation is not None:
             told.append(str(self.preparation))
+        told += [f"{name} {physics}" for name, physics in self.physics.items()]
         return "\n\n".join(told)
 
     __repr__, _repr_html_ = brief, page
@@ -107,6 +111,7 @@ def read_split(
         *(chosen.get(part) for part in PARTS),
         all=data,
         preparation=_preparation(path, description, root),
+        physics=description.physics,
     )
 
 

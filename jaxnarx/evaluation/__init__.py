@@ -44,7 +44,9 @@ from jaxnarx.evaluation.comparison import ModelComparison as ModelComparison
 from jaxnarx.evaluation.comparison import compare as compare
 from jaxnarx.evaluation.domain_errors import INDEX_EDGES as INDEX_EDGES
 from jaxnarx.evaluation.gain_signs import GainFinding as GainFinding
+from jaxnarx.evaluation.gain_signs import WrongSigns as WrongSigns
 from jaxnarx.evaluation.gain_signs import check_gains as check_gains
+from jaxnarx.evaluation.gain_signs import count_wrong_signs as count_wrong_signs
 from jaxnarx.evaluation.local_models import LocalBehaviour as LocalBehaviour
 from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
 from jaxnarx.evaluation.page_records import ShownRecord as ShownRecord
@@ -113,6 +115,7 @@ __all__ = [
     "Verdict",
     "VerdictRule",
     "check_gains",
+    "count_wrong_signs",
     "compare",
     "cost",
     "describe_partition",

@@ -8,7 +8,8 @@ output far: whether the engine does that is the user's to say.
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,6 +20,8 @@ from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._steady_states import operating_point, steady_states
 from jaxnarx.formatting import page
 from jaxnarx.models import Network
+from jaxnarx.partition import INPUT_STEP_SHARE, make_pairs
+from jaxnarx.settings import Physics, require_physics
 from jaxnarx.simulation import match_records
 
 MAX_REST_RUNS = 160
@@ -27,8 +30,6 @@ FEWEST_POINTS, MOST_POINTS = 4, 24
 """Operating points."""
 LONGEST_REST_SAMPLES = 2048
 """Samples of the longest run to rest."""
-INPUT_STEP_SHARE = 0.05
-"""Share of its trained range by which an input is moved to either side."""
 FLAT_RANGE_SHARE = 0.05
 """Share of its trained range that an output has to move for the whole range of an
 input; a smaller gain has no sign."""
@@ -77,6 +78,15 @@ class GainFinding:
     _repr_html_ = page
 
 
+class WrongSigns(NamedTuple):
+    """Gains of one output whose sign physics asks."""
+
+    wrong: int
+    """Those with the other sign."""
+    known: int
+    """All, where the network comes to rest."""
+
+
 @guard_arguments
 def check_gains(network: Network, data: Dataset) -> tuple[GainFinding, ...]:
     """Inputs whose steady-state gain changes sign over the domain, or jumps.
@@ -99,13 +109,7 @@ def check_gains(network: Network, data: Dataset) -> tuple[GainFinding, ...]:
     inputs = slice(0, rows.shape[1])
     asked = np.clip(asked, low[inputs], high[inputs])
     every = np.concatenate([rows, asked.reshape(-1, rows.shape[1])])
-    start = operating_point(network, data)[1]
-    # Bands are not asked for.
-    bare = dataclasses.replace(network, errors=None)
-    found = steady_states(bare, every, start, longest=LONGEST_REST_SAMPLES)
-    value = found.value
-    if found.index is not None:
-        value = np.where((found.index <= 1)[:, None], value, np.nan)
+    value = outputs_at_rest(network, data, every)
     shape = 2, len(moved), len(rows), value.shape[1]
     sides, middle = value[len(rows) :].reshape(shape), value[: len(rows)]
     own = np.array(network.signals)[: value.shape[1]]
@@ -121,6 +125,66 @@ def check_gains(network: Network, data: Dataset) -> tuple[GainFinding, ...]:
             cases += _sign(name, x[1], *scaled)
             cases += _jump(name, x[1], *scaled)
     return tuple(cases)
+
+
+def outputs_at_rest(
+    network: Network, data: Dataset, inputs: Float[np.ndarray, "points inputs"]
+) -> Float[np.ndarray, "points outputs"]:
+    """Outputs under held inputs; NaN where the network does not come to rest, or its
+    domain does not know the inputs."""
+    start = operating_point(network, data)[1]
+    # Bands are not asked for.
+    bare = dataclasses.replace(network, errors=None)
+    found = steady_states(bare, inputs, start, longest=LONGEST_REST_SAMPLES)
+    if found.index is None:
+        return found.value
+    return np.where((found.index <= 1)[:, None], found.value, np.nan)
+
+
+@guard_arguments
+def count_wrong_signs(
+    network: Network,
+    data: Dataset,
+    physics: Mapping[str, Physics],
+    *,
+    points: int = MOST_POINTS,
+) -> dict[str, WrongSigns]:
+    """Count gains at rest that have another sign than physics asks.
+
+    Args:
+        network: The model.
+        data: Records; operating points are their samples, spread evenly.
+        physics: Signs by output; outputs that the network does not model are left out.
+        points: Operating points at which every gain is looked at.
+
+    Returns:
+        The numbers of wrong and of known gains by output. A gain is wrong where the
+        output moves the other way by more than `FLAT_RANGE_SHARE` of its trained range
+        for the whole range of the input; it is known where the network comes to rest
+        on both sides of the point.
+
+    Example:
+        known = {"y": jnx.identification.Physics(increases_with=["a"])}
+        print(jnx.evaluation.count_wrong_signs(network, data, known))
+    """
+    data = match_records(network, data)
+    require_physics(physics, data.channels.input_names, data.channels.output_names)
+    wide = np.asarray(network.high - network.low, float)
+    wide = np.where(wide > 0, wide, 1.0)
+    out = {}
+    for o, name in enumerate(network.output_names):
+        if name not in physics:
+            continue
+        pairs = make_pairs(data, physics[name], output=name, points=points)
+        both = np.concatenate([pairs.low, pairs.high])
+        ends = outputs_at_rest(network, data, both)[:, o].reshape(2, -1)
+        rise = (ends[1] - ends[0]) / wide[network.signals[o]]
+        inputs = wide[: both.shape[1]]
+        step = np.abs((pairs.high - pairs.low) / inputs).sum(axis=1)
+        known = np.isfinite(rise)
+        wrong = known & (rise < -FLAT_RANGE_SHARE * step)
+        out[name] = WrongSigns(int(wrong.sum()), int(known.sum()))
+    return out
 
 
 def _moved_inputs(network: Network) -> list[int]:

@@ -1,5 +1,6 @@
 """A whole identification: by a search, or by one settings tree."""
 
+from jaxnarx.docstrings import document
 from jaxnarx.identification._by_method import Events, drop_unneeded
 from jaxnarx.identification._by_method import run_method as run_method
 from jaxnarx.identification.candidates import CANDIDATES, CandidateFactory
@@ -17,6 +18,7 @@ from jaxnarx.identification.search_folder import CANDIDATES_FOLDER as CANDIDATES
 from jaxnarx.identification.search_folder import SEARCH_FILE as SEARCH_FILE
 from jaxnarx.identification.search_folder import SearchFolder, read_search
 from jaxnarx.identification.verb import VALIDATION_GROUP, identify, with_group
+from jaxnarx.settings import Physics as Physics
 
 __all__ = [
     "CANDIDATES",
@@ -24,6 +26,7 @@ __all__ = [
     "CandidateFactory",
     "Events",
     "Leaderboard",
+    "Physics",
     "SearchFolder",
     "VALIDATION_GROUP",
     "describe",
@@ -39,3 +42,5 @@ __all__ = [
     "candidate_in_use",
     "with_group",
 ]
+
+document(Physics)

@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError, SpecError
-from jaxnarx.evaluation import cost
+from jaxnarx.evaluation import cost, count_wrong_signs
 from jaxnarx.extensions import Registry
 from jaxnarx.identification.cross_validate import CrossValidation, cross_validate
-from jaxnarx.identification.leaderboard import Candidate, Leaderboard
+from jaxnarx.identification.leaderboard import WRONG_SIGN, Candidate, Leaderboard
 from jaxnarx.identification.narx_candidates import propose_narx
 from jaxnarx.identification.nested import (
     Remake,
@@ -40,9 +40,16 @@ from jaxnarx.partition import (
     Sum,
     Summand,
     best_sum,
+    make_pairs,
 )
 from jaxnarx.refinement import largest_local_pole
-from jaxnarx.settings import HiddenStates, Identification, Partitioner, Preset
+from jaxnarx.settings import (
+    HiddenStates,
+    Identification,
+    Partitioner,
+    Physics,
+    Preset,
+)
 
 NOT_SUMMED = "constant", "ARX"
 """Families that are in no sum."""
@@ -115,16 +122,20 @@ class CandidateSearch:
         added: Mapping[str, CandidateFactory] | None = None,
         partitions: Mapping[str, Partitioner] | None = None,
         watch: Watch = lambda trying: None,
+        physics: Physics | None = None,
     ):
         """`known` are candidates that need not be tried again; `late` tells that the
         time is up; `added` and `partitions` are those of other packages; `watch` hears
-        what is tried."""
+        what is tried; `physics` has the signs of gains that every candidate keeps."""
         self.added, self.partitions = dict(added or {}), dict(partitions or {})
         self.data, self.profile = data, profile
         self.groups, self.preset = groups, preset
         self.known = {(row.family, row.name): row for row in known}
         self.late, self.passed, self.spread = late, 0, 1.0
-        self.watch = watch
+        self.watch, self.physics = watch, physics
+        self.pairs = None
+        if physics is not None:
+            self.pairs = make_pairs(data, physics, output=profile.output)
         self.best: np.ndarray | None = None
         self.parts: dict[str, Summand] = {}
         """The best of every kind, as a part of a sum."""
@@ -219,10 +230,14 @@ class CandidateSearch:
             yield from self._trained_kinds()
         yield from self._sum_kinds()
 
+    def _closed_search(self, root: bool) -> ClosedSearch:
+        own = self.data, self.profile, self.groups
+        return ClosedSearch(*own, root=root, pairs=self.pairs)
+
     def _closed_forms(self, *, root: bool = False) -> Iterator[Tried]:
         """Candidates in closed form, of the output or of its root."""
         kind = ROOT_KIND if root else CLOSED_KIND
-        search = ClosedSearch(self.data, self.profile, self.groups, root=root)
+        search = self._closed_search(root)
         begin = time.perf_counter()
         limits = dict(max_models=self.preset.max_models, degree=self.preset.degree)
         if self.preset.linear:
@@ -240,7 +255,7 @@ class CandidateSearch:
                 row, network = self._score_closed_form(
                     found, time.perf_counter() - begin
                 )
-                again = found.family, found.structure, root, self.partitions
+                again = found.family, found.structure, root, self.partitions, self.pairs
                 self.remakes[_title(row.family, row.name)] = functools.partial(
                     repeat_closed_form, *again
                 )
@@ -318,8 +333,7 @@ class CandidateSearch:
     def _repeat_part(self, row: Candidate) -> Summand:
         """A candidate in closed form once more, as a part of a sum."""
         structure = self.divided[row.family, row.name][1]
-        root = row.family.endswith(OF_ROOT)
-        search = ClosedSearch(self.data, self.profile, self.groups, root=root)
+        search = self._closed_search(row.family.endswith(OF_ROOT))
         found = search.repeat(row.family, structure, self.partitions)
         found = dataclasses.replace(found, name=row.name)
         return found.part(hold_to_range(found.network()))
@@ -374,6 +388,8 @@ class CandidateSearch:
             free_run=None if lost else found.free_run,
             groups=_list_errors(found.groups()),
             one_step=found.one_step(),
+            unconstrained=found.unconstrained,
+            detail=_turned(found),
             diverged=lost,
             status="diverged" if lost else "ok",
         )
@@ -508,6 +524,8 @@ class CandidateSearch:
             return dataclasses.replace(row, status="diverged"), None
         if not found.complete:
             return row, None
+        if told := self._wrong_signs(found.network):
+            return dataclasses.replace(row, status=WRONG_SIGN, detail=told), None
         self._remember(found.losses)
         total = float(np.nansum(found.losses * found.counts) / found.counts.sum())
         row = dataclasses.replace(
@@ -517,6 +535,20 @@ class CandidateSearch:
             status="ok",
         )
         return _add_standard_error(row, found.losses), found.network
+
+    def _wrong_signs(self, network: Network | None) -> str:
+        """What a trained network has against physics, in words; nothing if all is
+        well."""
+        output, physics = self.profile.output, self.physics
+        if physics is None or network is None:
+            return ""
+        found = count_wrong_signs(network, self.data, {output: physics})[output]
+        if not found.known:
+            return f"it comes to rest nowhere, and {output} {physics} by physics"
+        if not found.wrong:
+            return ""
+        share = f"{found.wrong} of {found.known} gains at rest"
+        return f"{share} have the wrong sign: {output} {physics} by physics"
 
     def _row(
         self,
@@ -544,6 +576,16 @@ class CandidateSearch:
 def _title(family: str, name: str) -> str:
     """A candidate as its sums name it."""
     return f"{family}, {name}"
+
+
+def _turned(found: ClosedForm) -> str:
+    """What the constraints of physics have changed, in words."""
+    wrong = [
+        f"by {name} at {count} of {of} operating points"
+        for name, (count, of) in found.turned.items()
+        if count
+    ]
+    return f"without constraints its gain is wrong {', '.join(wrong)}" if wrong else ""
 
 
 def _part(row: Candidate, found: CrossValidation, network: Network) -> Summand:

@@ -4,7 +4,12 @@ import math
 from typing import Any
 
 from jaxnarx.formatting import ratio_text
-from jaxnarx.identification.leaderboard import Candidate, Leaderboard
+from jaxnarx.identification.leaderboard import (
+    LEAST_ERROR,
+    WRONG_SIGN,
+    Candidate,
+    Leaderboard,
+)
 
 LINEAR_FAMILIES = (
     "constant",
@@ -94,8 +99,9 @@ def sentences(board: Leaderboard, output: str, taken: int | None = None) -> list
     """Why this one, what others would cost, and which records it serves worst."""
     row = candidate_in_use(board, output, taken)
     told = [_choice(board, output, row)]
-    told += [*_best(board, row), *_others(board, row), *_linear(board, row)]
-    told += [*_explain_vetoes(board, output), *_groups(board, row)]
+    told += [*_physics(row), *_best(board, row), *_others(board, row)]
+    told += [*_linear(board, row), *_explain_vetoes(board, output)]
+    told += [*_explain_signs(board, output), *_groups(board, row)]
     return told
 
 
@@ -158,6 +164,20 @@ def _nested(row: Candidate) -> str:
     if row.nested is None:
         return ""
     return f" (nested {ratio_text(row.nested)}: made again without every group)"
+
+
+def _physics(row: Candidate) -> list[str]:
+    """The price of the signs that physics asks, where they are constraints."""
+    if row.unconstrained is None or row.free_run is None:
+        return []
+    told = "Its gains at rest have the signs that physics asks"
+    ratio = row.unconstrained / max(row.free_run, LEAST_ERROR)
+    same = abs(ratio - 1) < 5e-4
+    more = f"{abs(ratio - 1):.1%} {'more' if ratio > 1 else 'less'}"
+    figures = "the same" if same else f"{ratio_text(row.unconstrained)}, {more}"
+    told = f"{told}; without constraints its error on records left out is {figures}."
+    detail = f"{row.detail[:1].upper()}{row.detail[1:]}."
+    return [told, detail] if row.detail else [told]
 
 
 def _best(board: Leaderboard, row: Candidate) -> list[str]:
@@ -226,6 +246,15 @@ def _explain_vetoes(board: Leaderboard, output: str) -> list[str]:
         return []
     is_are = "diverges" if lost == 1 else "diverge"
     return [f"{lost} of {len(rows)} candidates {is_are} on records left out: vetoed."]
+
+
+def _explain_signs(board: Leaderboard, output: str) -> list[str]:
+    rows = board.of(output)
+    lost = sum(r.status == WRONG_SIGN for r in rows)
+    if not lost:
+        return []
+    has = "has" if lost == 1 else "have"
+    return [f"{lost} of {len(rows)} candidates {has} gains against physics: vetoed."]
 
 
 def _groups(board: Leaderboard, row: Candidate) -> list[str]:

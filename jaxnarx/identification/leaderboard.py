@@ -24,6 +24,8 @@ EQUAL_ERROR_SHARE = 0.05
 """Share of the error that a cheaper model may give away."""
 DOMINANT_SHARE, DOMINANT_GROUPS = 0.5, 3
 """Share of the loss from which one group decides alone, where there are so many."""
+WRONG_SIGN = "wrong sign"
+"""Status of a candidate vetoed by physics."""
 LEAST_ERROR = 1e-9
 """Least error of a group in a geometric mean."""
 LARGEST_FIGURE = 1e100
@@ -76,8 +78,11 @@ class Candidate:
     pole: float | None = None
     """Largest modulus of a local model's poles; from 1 on it does not forget its past,
     and rounding in single precision adds up."""
+    unconstrained: float | None = None
+    """`free_run` of the same candidate without the signs of physics, where these are
+    constraints of its least squares."""
     status: str = "ok"
-    """`ok`, `diverged`, `failed` or `skipped`."""
+    """`ok`, `diverged`, `wrong sign` (of a gain, by physics), `failed` or `skipped`."""
     detail: str = ""
 
     @property
@@ -287,8 +292,8 @@ class Leaderboard:
 
 
 ROW_COLUMNS = (
-    "output number family name free_run standard_error nested one_step diverged "
-    "operations parameters seconds status detail"
+    "output number family name free_run standard_error nested unconstrained one_step "
+    "diverged operations parameters seconds status detail"
 ).split()
 """Columns of the table that are fields of a row."""
 BOARD_COLUMNS = (

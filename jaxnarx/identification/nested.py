@@ -28,6 +28,7 @@ from jaxnarx.partition import (
     ClosedStructure,
     DataProfile,
     Errors,
+    RestPairs,
     align_errors,
     profile_data,
 )
@@ -149,12 +150,17 @@ def repeat_closed_form(
     structure: ClosedStructure,
     root: bool,
     partitions: Mapping[str, Partitioner],
+    pairs: RestPairs | None,
     fold: OuterFold,
 ) -> tuple[Errors, int]:
-    """A candidate in closed form, of the output or of its `root`."""
+    """A candidate in closed form, of the output or of its `root`.
+
+    The signs of physics are asked at the points of all records: these are inputs, known
+    beforehand.
+    """
     if root not in fold.searches:
         own = fold.train, fold.profile, fold.groups
-        fold.searches[root] = ClosedSearch(*own, root=root)
+        fold.searches[root] = ClosedSearch(*own, root=root, pairs=pairs)
     found = fold.searches[root].repeat(family, structure, partitions)
     return fold.run(hold_to_range(found.network()))
 

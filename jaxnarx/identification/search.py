@@ -8,7 +8,7 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,8 @@ from jaxnarx.identification.search_folder import ROW_VERSION, SearchFolder, open
 from jaxnarx.identification.time_budget import TimeBudget
 from jaxnarx.identification.worker import OutputTask, SearchWorker, cores
 from jaxnarx.models import Network, combine_outputs
-from jaxnarx.partition import profile_data
-from jaxnarx.settings import PARTITIONS, PRESETS
+from jaxnarx.partition import make_pairs, profile_data
+from jaxnarx.settings import PARTITIONS, PRESETS, Physics, plain_value
 from jaxnarx.solution import RESULTS, Solution
 
 Tell = Callable[[dict[str, Any]], None]
@@ -47,10 +47,13 @@ def search(
     states: int | None,
     folder: Path | None,
     progress: Tell | None,
+    physics: Mapping[str, Physics],
 ) -> Solution[Network]:
     """The best model by groups left out; see `jaxnarx.identify`."""
     tell = progress or (lambda event: None)
     begin = time.time()
+    for name, signs in physics.items():
+        make_pairs(data, signs, output=name)  # an error is told before any work
     profiles = {name: profile_data(data, name) for name in outputs}
     if groups is None:
         groups = make_groups(data, gap=max(one.memory for one in profiles.values()))
@@ -65,6 +68,9 @@ def search(
     }
     if states is not None:
         key["states"] = states
+    if physics:
+        signs = {name: one.signs for name, one in sorted(physics.items())}
+        key["physics"] = plain_value(signs)
     linear = PRESETS[preset].linear
     added = {} if linear else CANDIDATES.added
     partitions = {} if linear else PARTITIONS.added
@@ -84,6 +90,7 @@ def search(
                 states,
                 added,
                 partitions,
+                physics.get(name),
             )
             for name, one in profiles.items()
         }

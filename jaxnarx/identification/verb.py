@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.identification._by_method import Events, run_method
 from jaxnarx.identification.search import search
 from jaxnarx.models import Network
-from jaxnarx.settings import PRESETS, Identification
+from jaxnarx.settings import PRESETS, Identification, Physics, require_physics
 from jaxnarx.solution import Solution
 
 VALIDATION_GROUP = "validation"
@@ -36,6 +36,7 @@ def identify(
     validation: Dataset | None = None,
     folder: str | os.PathLike[str] | None = None,
     progress: Events | None = None,
+    physics: Mapping[str, Physics] | None = None,
 ) -> Solution[Network]:
     """The best model of the data, found by a search or made as `method` says.
 
@@ -62,7 +63,8 @@ def identify(
     Args:
         data: Records to be trained on.
         method: The settings of all steps. Without it the search decides; the arguments
-            that follow, up to `groups` and also `folder`, are the search's own.
+            that follow, up to `groups` and also `folder` and `physics`, are the
+            search's own.
         preset: `"quick"` (about a minute), `"good"`, `"best"` (an hour and more; the
             smallest error whatever it costs), `"ecu"` (the fewest operations within 5 %
             of the best, stable for certain) or `"linear"`; see
@@ -91,6 +93,10 @@ def identify(
             `"select"`, `"grow"` or `"refine"`; with `candidates`, their number, before
             the first, with `solution` after each, else with a row of that verb's own
             progress.
+        physics: Signs of gains at rest by output (`jnx.identification.Physics`), such
+            as `{"NOx": Physics(increases_with=["ignition"])}`. They are constraints of
+            candidates in closed form, at measured samples spread over the data, and a
+            veto on all others; `unconstrained` of a candidate tells what they cost.
 
     Returns:
         `value` is the network. Of a search: `stats["leaderboard"]` holds all candidates
@@ -105,7 +111,9 @@ def identify(
         fit = jnx.identify(data, jnx.Identification(select=jnx.ForwardOLS(max_terms=2)))
         print(fit.status_name)
     """
-    asked = _Wanted(preset, budget, candidates, tuple(outputs), states, groups, folder)
+    asked = _Wanted(
+        preset, budget, candidates, tuple(outputs), states, groups, folder, physics
+    )
     if method is None:
         return _search(data, asked, validation, progress)
     if changed := [f.name for f in dataclasses.fields(asked) if asked.asks(f.name)]:
@@ -129,6 +137,7 @@ class _Wanted:
     states: int | None = None
     groups: Groups | None = None
     folder: str | os.PathLike[str] | None = None
+    physics: Mapping[str, Physics] | None = None
 
     def asks(self, name: str) -> bool:
         """Whether something else than the default is asked for."""
@@ -162,6 +171,8 @@ class _Wanted:
                 raise SpecError(
                     f"outputs: there is no output {name!r}. {known}", field="outputs"
                 )
+        outputs = self.outputs or channels.output_names
+        require_physics(self.physics or {}, channels.input_names, outputs)
 
 
 def _search(
@@ -194,6 +205,7 @@ def _search(
         states=asked.states,
         folder=None if asked.folder is None else Path(asked.folder),
         progress=progress,
+        physics=asked.physics or {},
     )
 
 

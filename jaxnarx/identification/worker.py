@@ -31,7 +31,7 @@ from jaxnarx.identification.candidates import (
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.models import Network, load, save
 from jaxnarx.partition import DataProfile
-from jaxnarx.settings import PRESETS, Partitioner
+from jaxnarx.settings import PRESETS, Partitioner, Physics
 
 TASK_FILE, END_FILE, ERROR_FILE, TRYING_KEY, OUTPUT_FILE = (
     "task",
@@ -61,6 +61,7 @@ class OutputTask:
     states: int | None = None
     added: Mapping[str, CandidateFactory] = dataclasses.field(default_factory=dict)
     partitions: Mapping[str, Partitioner] = dataclasses.field(default_factory=dict)
+    physics: Physics | None = None
 
     def run(self, watch: Watch) -> Iterator[Tried]:
         """Its candidates; `watch` hears of each while it is tried."""
@@ -74,6 +75,7 @@ class OutputTask:
             added=self.added,
             partitions=self.partitions,
             watch=watch,
+            physics=self.physics,
         )
         yield from found
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxnarx.models import Network, respond
-from jaxnarx.regressors import Variables, realise
+from jaxnarx.regressors import Variables, static_gains
 
 NEWTON_STEPS = 12
 """Newton steps to the equilibrium; quadratic convergence needs about six."""
@@ -72,12 +72,8 @@ def statics(network: Network) -> Statics:
     time = float(network.sample_time)
 
     def sizes(table: Variables) -> Float[Array, " vars"]:
-        size = np.ones(len(table))
-        for row, (_, _, filter_) in enumerate(table.entries):
-            if filter_ is not None:
-                system = realise(filter_, time)
-                size[row] = float(jnp.sum(system.c * system.rest))
-        return jnp.asarray(size, network.gain.dtype)
+        gain = static_gains([f for _, _, f in table.entries], time)
+        return jnp.asarray(gain, network.gain.dtype)
 
     scheduling = tuple(sizes(m.scheduling) for m in network.models)
     return Statics(network, sizes(network.variables), scheduling)

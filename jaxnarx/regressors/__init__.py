@@ -10,6 +10,7 @@ from jaxnarx.regressors.columns import row_columns as row_columns
 from jaxnarx.regressors.filtering import FilterSystem as FilterSystem
 from jaxnarx.regressors.filtering import filter_table as filter_table
 from jaxnarx.regressors.filtering import realise as realise
+from jaxnarx.regressors.filtering import static_gains as static_gains
 from jaxnarx.regressors.filtering import system_of as system_of
 from jaxnarx.regressors.filters import AbstractFilter as AbstractFilter
 from jaxnarx.regressors.filters import Kautz as Kautz

@@ -127,6 +127,18 @@ def realise(filter_: AbstractFilter, sample_time: float | int) -> FilterSystem:
     return eqx.filter_jit(system_of)(table, jnp.asarray(float(sample_time)))
 
 
+def static_gains(
+    filters: Sequence[AbstractFilter | None], sample_time: float | int
+) -> Float[np.ndarray, " filters"]:
+    """Value of every filter when its input has been one for ever; one of None."""
+    gain = np.ones(len(filters))
+    for row, filter_ in enumerate(filters):
+        if filter_ is not None:
+            system = realise(filter_, sample_time)
+            gain[row] = float(jnp.sum(system.c * system.rest))
+    return gain
+
+
 def system_of(table: FilterTable, sample_time: Float[Array, ""]) -> FilterSystem:
     """The system of one row of a table; `sample_time` [s] may be traced.
 

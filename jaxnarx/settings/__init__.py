@@ -35,6 +35,8 @@ from jaxnarx.settings.partition import (
     Placed,
     SigmoidTree,
 )
+from jaxnarx.settings.physics import Physics
+from jaxnarx.settings.physics import require_physics as require_physics
 from jaxnarx.settings.pool import Polynomial
 from jaxnarx.settings.presets import PRESETS as PRESETS
 from jaxnarx.settings.presets import Preset as Preset
@@ -76,6 +78,7 @@ __all__ = [
     "OptimalDesign",
     "OutputError",
     "Partitioner",
+    "Physics",
     "Placed",
     "Polynomial",
     "PredictionError",

@@ -258,6 +258,8 @@ def _identify_by_method(
     _require_share(share)
     split = read_description(command.description, command.root)
     method = check_method(asked, split.all.channels)
+    if split.physics:
+        warn("[physics] belongs to a search: this one method keeps no signs")
     task = preparation_task(split.preparation, OneMethod(method, typed))
     outputs = method.pool.outputs
     name = f"{Path(command.description).stem}-{'-'.join(outputs[:3])}"

@@ -114,7 +114,9 @@ def write_prepared(
     starts = np.cumsum([0, *lengths]).tolist()
     of = {p: names[a : a + n] for p, a, n in zip(parts, starts, lengths, strict=False)}
     made = {"preparation": PREPARATION_FILE}
-    texts[DESCRIPTION_FILE] = describe(done, of, by="jaxnarx prepare", extra=made)
+    texts[DESCRIPTION_FILE] = describe(
+        done, of, by="jaxnarx prepare", extra=made, physics=split.physics
+    )
     kept = preparation.to_dict()
     texts[PREPARATION_FILE] = json.dumps(kept, allow_nan=False, indent=1)
     with run_folder(out, "", force=force, marks=list(texts)) as folder:

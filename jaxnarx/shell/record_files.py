@@ -10,6 +10,7 @@ from jaxtyping import Bool
 
 from jaxnarx.data import Dataset
 from jaxnarx.files import cell
+from jaxnarx.settings import Physics
 
 
 def record_csv(
@@ -55,11 +56,12 @@ def describe(
     by: str,
     remarks: Sequence[str] = (),
     extra: Mapping[str, str] | None = None,
+    physics: Mapping[str, Physics] | None = None,
 ) -> str:
     """A TOML description of written records, by part; they lie in its own folder.
 
     `by` is the command that wrote them; `remarks` become comments, `extra` entries of
-    [data].
+    [data], `physics` those signs of gains whose channels are there.
     """
     lines = [
         f"# Written by `{' '.join(by.split())}`.",
@@ -80,7 +82,23 @@ def describe(
     lines += ["", "[records]"]
     for part, names in files.items():
         lines.append(f"{part} = {_list(names)}")
-    return "\n".join([*lines, *_groups(data, files)]) + "\n"
+    lines += [*_groups(data, files), *_physics(data, physics or {})]
+    return "\n".join(lines) + "\n"
+
+
+def _physics(data: Dataset, physics: Mapping[str, Physics]) -> list[str]:
+    """Signs of gains, with those inputs that there are."""
+    lines = []
+    for name, one in physics.items():
+        if name not in data.channels.output_names:
+            continue
+        told = [
+            f"{way} = {_list(kept)}"
+            for way in ("increases_with", "decreases_with")
+            if (kept := [n for n in getattr(one, way) if n in data.channels.names])
+        ]
+        lines += [f"{_quote(name)} = {{{', '.join(told)}}}"] if told else []
+    return ["", "[physics]", *lines] if lines else []
 
 
 def _groups(data: Dataset, files: Mapping[str, Sequence[str]]) -> list[str]:

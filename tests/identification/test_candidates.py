@@ -23,7 +23,7 @@ from jaxnarx.partition import (
     DataProfile,
     profile_data,
 )
-from jaxnarx.settings import Identification, Preset
+from jaxnarx.settings import Identification, Physics, Preset
 
 TINY = Preset("for tests", max_models=2, grown=1, fed_back=3, states=0, longest=10_000)
 
@@ -54,7 +54,7 @@ def judged(monkeypatch, few) -> dict:
     class Fake(ClosedSearch):
         spread = 1.5  # pyright: ignore
 
-        def __init__(self, *_, root=False):
+        def __init__(self, *_, root=False, pairs=None):
             said.setdefault("roots", []).append(root)
 
         def candidates(self, **limits):  # pyright: ignore
@@ -114,6 +114,19 @@ def test_rows_tell_what_was_found(data, seen, few, judged):
     pooled = np.average([0.04, 0.09, 0.01, 0.25], weights=weights) ** 0.5
     assert row.free_run == pytest.approx(pooled)
     assert row.groups == pytest.approx((0.2, 0.3, 0.1, 0.5))
+
+
+def test_a_trained_network_with_a_wrong_gain_is_vetoed(data, seen, few, judged):
+    """The plant rises with its input: one sign that is asked is right, one wrong."""
+    result = made([0.04, 0.09, 0.01, 0.25], few[1].network())
+    for sign, status in (("increases_with", "ok"), ("decreases_with", "wrong sign")):
+        judged["results"] = [result] * 3
+        physics = Physics(**{sign: ["u"]})
+        row, own = tried(data, seen, physics=physics)[1][3]
+        assert row.status == status and row.eligible == (own is not None)
+        assert row.eligible == (status == "ok")
+    assert "24 of 24 gains at rest have the wrong sign: y falls with u" in row.detail
+    assert row.free_run is None and None not in row.groups
 
 
 def test_standard_error_is_that_of_the_mean_over_groups(data, seen, few, judged):

@@ -146,7 +146,7 @@ def test_a_mean_is_that_of_candidates_made_again(data, seen):
 def test_what_is_made_again_knows_its_structure_alone(data, seen, monkeypatch):
     """A closed form, and a method with the rows of its fold."""
     again = functools.partial(
-        repeat_closed_form, "OE", ClosedStructure(order=1), False, {}
+        repeat_closed_form, "OE", ClosedStructure(order=1), False, {}, None
     )
     row = judge_one(ROW, again, data, groups(data), seen, SPREAD)
     one = judge_one(ROW, remake, data, groups(data), seen, SPREAD)

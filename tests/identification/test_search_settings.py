@@ -10,7 +10,9 @@ from search_fakes import FakeSearch
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.identification import identify
-from jaxnarx.settings import Identification
+from jaxnarx.settings import Identification, Physics
+
+SIGN = Physics(increases_with=["a"])
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +35,8 @@ def fake(monkeypatch) -> FakeSearch:
         ({"budget": float("nan")}, "budget must be"),
         ({"candidates": 0}, "candidates must be at least 1"),
         ({"outputs": ("x",)}, "no output 'x'"),
+        ({"physics": {"x": SIGN}}, "physics: there is no output 'x'. Known names: y"),
+        ({"physics": {"y": Physics(increases_with=["q"])}}, "y: there is no input 'q'"),
     ],
 )
 def test_settings_that_make_no_sense(data, fake, options, words):
@@ -43,7 +47,13 @@ def test_settings_that_make_no_sense(data, fake, options, words):
 
 @pytest.mark.parametrize(
     "option",
-    [{"preset": "best"}, {"budget": 9.0}, {"candidates": 2}, {"folder": "x"}],
+    [
+        {"preset": "best"},
+        {"budget": 9.0},
+        {"candidates": 2},
+        {"folder": "x"},
+        {"physics": {"y": SIGN}},
+    ],
 )
 def test_a_method_is_no_search(data, option):
     with pytest.raises(SpecError, match=f"{next(iter(option))} belongs to a search"):

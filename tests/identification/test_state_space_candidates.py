@@ -248,7 +248,7 @@ def asked(monkeypatch, closed) -> dict:
     class Fake(ClosedSearch):
         spread = 1.5  # pyright: ignore
 
-        def __init__(self, *_, root=False):
+        def __init__(self, *_, root=False, pairs=None):
             pass
 
         def candidates(self, **_):  # pyright: ignore

@@ -133,6 +133,14 @@ def test_what_is_left_out_together_stays_so(capsys):
     assert [r.group for r in done.all] == ["", 'a "cold" one', "", ""]
 
 
+def test_signs_of_gains_stay(place, capsys):
+    signs = 'NOx = {increases_with = ["speed", "=load"]}'
+    (place / "signs.toml").write_text(f"{DESCRIPTION}[physics]\n{signs}\n")
+    passes(capsys, "prepare signs.toml --out signs --scale standard")
+    raw, done = read_split("signs.toml"), read_split("signs/prepared.toml")
+    assert raw.physics and done.physics == raw.physics
+
+
 def test_what_is_written_reads_back_as_it_was():
     """Fitted to the training records only, applied to every part."""
     raw, done = read_split("engine.toml"), read_split("done/prepared.toml")

@@ -16,7 +16,7 @@ import pytest
 from search_fakes import KINDS, NAMES, FakeSearch, row
 
 from jaxnarx.errors import DataError
-from jaxnarx.identification import Leaderboard
+from jaxnarx.identification import Leaderboard, Physics
 from jaxnarx.shell import interrupt
 from jaxnarx.shell.cli import run
 from jaxnarx.shell.search.leaderboard import table
@@ -352,3 +352,14 @@ def test_where_all_are_vetoed_the_safest_is_written_and_called_unusable(
     assert set(os.listdir("lost")) == FILES | KEPT
     words = shlex.split(text.split("Next: ")[1])
     assert words[words.index("--preset") + 1] == "linear"
+
+
+def test_physics_of_the_description_is_handed_on(home, patched, capsys, tmp_path):
+    patched.chdir(home)
+    text = '\n[physics]\ny = {increases_with = ["a"]}\nw = {increases_with = ["b"]}\n'
+    (home / "signs.toml").write_text(TOML + text)
+    fake = searching(patched)
+    line = f"identify signs.toml --output y --out {tmp_path / 'signs'}"
+    code, out, _ = typed(capsys, line)
+    assert code == 0 and fake.options["physics"] == {"y": Physics(increases_with=["a"])}
+    assert "By physics, at rest: y rises with a\n" in out

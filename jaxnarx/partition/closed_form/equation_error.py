@@ -4,14 +4,25 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.arrays import ridge_solve
+from jaxnarx.partition.closed_form.physics import solve_signed
 from jaxnarx.partition.closed_form.signals import RunSignals
 from jaxnarx.regressors import evaluate
 
+RIDGE = 1e-9
+"""Ridge, in units of the columns' own power."""
+
 
 def equation_error(
-    signals: RunSignals, order: int, *, without: int | None = None
+    signals: RunSignals,
+    order: int,
+    *,
+    without: int | None = None,
+    signs: Float[np.ndarray, "pairs columns"] | None = None,
 ) -> tuple[Float[np.ndarray, " _"], Float[np.ndarray, " columns"]]:
-    """A(q) and coefficients of least squares one step ahead with all terms (ARX)."""
+    """A(q) and coefficients of least squares one step ahead with all terms (ARX).
+
+    With `signs`, rows, these times the coefficients are not negative (`physics.rises`).
+    """
     size = order + len(signals.factor)
     gram, right = np.zeros((size, size)), np.zeros(size)
     parts = signals.apart.shape[1]
@@ -24,5 +35,9 @@ def equation_error(
         rows = np.concatenate([-np.stack(lags)[:, at], terms])
         gram += rows @ rows.T
         right += rows @ one.y[at]
-    found = ridge_solve(gram, right, 1e-9)
+    if signs is None:
+        found = ridge_solve(gram, right, RIDGE)
+    else:
+        signs = np.pad(signs, ((0, 0), (order, 0)))
+        found = solve_signed(gram, right, RIDGE, signs)
     return np.concatenate([[1.0], found[:order]]), found[order:]

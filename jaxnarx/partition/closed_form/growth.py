@@ -96,21 +96,19 @@ class GrownStage:
 
     def held_out_runs(self) -> list[Float[np.ndarray, " _"]]:
         """Free runs over every group by a model made without it, not held."""
-        equations, first = self.design.equations, constants(self.design)
         out = []
         for g in range(len(self.losses)):
-            theta = np.zeros((1, equations.columns))
-            path = equations.exclude_group(g).select_forward(
-                self.ridge, self.size, first
-            )
-            at, own = path.truncate(self.size)
+            theta = np.zeros((1, self.design.equations.columns))
+            at, own = self.choose_columns(g)
             theta[0, at] = own
             out.append(self.design.answers(g, theta)[0])
         return out
 
-    def choose_columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and coefficients from all groups."""
-        system = self.design.equations.exclude_group(None)
+    def choose_columns(
+        self, without: int | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and coefficients from all groups, or without one."""
+        system = self.design.equations.exclude_group(without)
         first = constants(self.design)
         return system.select_forward(self.ridge, self.size, first).truncate(self.size)
 

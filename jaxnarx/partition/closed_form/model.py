@@ -1,7 +1,7 @@
 """A candidate in closed form: its structure, its errors, its network."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -56,6 +56,10 @@ class ClosedForm:
     """Coefficients that are not those of least squares of the free run ..."""
     left_out: Sequence[Float[np.ndarray, " _"]] | None = None
     """... and what such models answer over every group made without it."""
+    unconstrained: float | None = None
+    """`free_run` without the constraints of physics; None where there are none."""
+    turned: Mapping[str, tuple[int, int]] = dataclasses.field(default_factory=dict)
+    """Gains at rest that are wrong without them, and all that are asked, by input."""
 
     @property
     def free_run(self) -> float:

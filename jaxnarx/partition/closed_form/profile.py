@@ -72,7 +72,7 @@ def profile_data(data: Dataset, output: str) -> DataProfile:
     reach = usual // SHORTEST_REACHES
     return DataProfile(
         output,
-        tuple(_levels(data, i) for i in range(inputs)),
+        tuple(input_levels(data, i) for i in range(inputs)),
         tuple(dead),
         float(min((p.rise for p in clear), default=1.0)),
         int(min(max(memory, 4), longest // 4)),
@@ -103,7 +103,7 @@ def _require_seen(data: Dataset) -> None:
             raise DataError(f"{name} is measured nowhere; leave it out")
 
 
-def _levels(data: Dataset, place: int) -> tuple[float, ...] | None:
+def input_levels(data: Dataset, place: int) -> tuple[float, ...] | None:
     """The few values at which nearly all samples of an input stand, if there are."""
     parts = [r.u[r.valid[:, place], place] for r in data]
     values, count = np.unique(np.concatenate(parts), return_counts=True)

@@ -29,6 +29,12 @@ from jaxnarx.partition.closed_form.growth import (
     grow_regions,
 )
 from jaxnarx.partition.closed_form.model import ClosedForm, ClosedStructure, tame
+from jaxnarx.partition.closed_form.physics import (
+    LEAST_VIOLATION,
+    RestPairs,
+    constrain,
+    rises,
+)
 from jaxnarx.partition.closed_form.profile import DataProfile
 from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 from jaxnarx.partition.closed_form.terms import (
@@ -72,11 +78,12 @@ class ClosedSearch:
         groups: Groups,
         *,
         root: bool = False,
+        pairs: RestPairs | None = None,
     ):
         """With `root` a root of the output is modelled; all errors are those of the
-        output."""
+        output. With `pairs` the output of every candidate rises along them at rest."""
         self.data, self.profile, self.groups = data, profile, groups
-        self.modelled_root = root
+        self.modelled_root, self.pairs = root, pairs
         self.known: dict[tuple[Memory, int], RunSignals] = {}
         self.roots: list[ClosedForm] = []
         """The polynomials that `candidates` has divided."""
@@ -259,11 +266,29 @@ class ClosedSearch:
         spread = one.spread if one.root is None else one.root.spread
         return float(spread * one.gain[o])
 
+    def constrain(self, form: ClosedForm) -> ClosedForm:
+        """The candidate under the signs of physics, where there are some."""
+        return form if self.pairs is None else constrain(form, self.pairs)
+
     def candidates(
         self, max_models: int, degree: int = 2, grown_roots: int = GROWN_ROOTS
     ) -> Iterator[ClosedForm]:
         """Candidates from the mean to regions, cheap ones first; of a root output-error
-        models and what follows."""
+        models and what follows.
+
+        Structures are grown without constraints; what is judged and kept has them. One
+        whose constrained coefficients cannot be found is left out.
+        """
+        for form in self._grow_all(max_models, degree, grown_roots):
+            try:
+                signed = self.constrain(form)
+            except np.linalg.LinAlgError:
+                continue
+            yield signed
+
+    def _grow_all(
+        self, max_models: int, degree: int, grown_roots: int
+    ) -> Iterator[ClosedForm]:
         if not self.modelled_root:
             yield self.constant()
             for order in (1, 2, 3):
@@ -308,6 +333,14 @@ class ClosedSearch:
         lags. Feedback, halvings, gates, the number of columns and their ridge are
         chosen anew.
         """
+        return self.constrain(self._make_again(family, structure, partitions))
+
+    def _make_again(
+        self,
+        family: str,
+        structure: ClosedStructure,
+        partitions: Mapping[str, Partitioner],
+    ) -> ClosedForm:
         family, order = family.removesuffix(OF_ROOT), structure.order
         if family == "constant":
             return self.constant()
@@ -366,7 +399,7 @@ class ClosedSearch:
             validity = _ask(partition, root.stage.design)
             if count_models(validity, len(root.stage.design.signals.scheduling)) > 1:
                 stage = divide_by(root.stage, validity)
-                yield self.make_divided(root, stage, partition=name)
+                yield self.constrain(self.make_divided(root, stage, partition=name))
 
     def make_divided(
         self,
@@ -397,15 +430,32 @@ class ClosedSearch:
     def equation_error(self, order: int) -> ClosedForm:
         """Least squares one step ahead (ARX), run freely."""
         signals = self.signals(Memory(1, tuple(range(order + 1)), ()), 1)
+        free = self._equation_error(signals, order, None)
+        if self.pairs is None:
+            return free
+        rows = rises(_bare(signals, np.ones(1)), self.pairs)
+        signed = self._equation_error(signals, order, rows)
+        return dataclasses.replace(
+            signed,
+            unconstrained=free.free_run,
+            turned=self.pairs.count(rows @ free.coefficients() < -LEAST_VIOLATION),
+        )
+
+    def _equation_error(
+        self,
+        signals: RunSignals,
+        order: int,
+        signs: Float[np.ndarray, "pairs columns"] | None,
+    ) -> ClosedForm:
         dims, losses, left = len(signals.scheduling), [], []
         # What is fitted one step ahead may run away: inf then, and held to the range.
         with np.errstate(all="ignore"):
             for g in range(len(self.groups)):
-                a, theta = equation_error(signals, order, without=g)
+                a, theta = equation_error(signals, order, without=g, signs=signs)
                 bare = _bare(signals, a)
                 left.append(tame(_group_places(signals, bare.runs(theta), g)))
                 losses.append(bare.loss(g, left[-1]))
-            a, theta = equation_error(signals, order)
+            a, theta = equation_error(signals, order, signs=signs)
             bare = _bare(signals, a)
         leaf = Box((), np.zeros(dims), np.ones(dims))
         stage = GrownStage(bare, (leaf,), np.array(losses), len(theta), 0.0)

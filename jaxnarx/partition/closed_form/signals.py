@@ -76,6 +76,7 @@ class RunSignals:
     pool: Pool
     centring: Centring
     gain: Float[np.ndarray, " signals"]
+    sample_time: float
     middle: float
     """Mean of the output, scaled by its gain ..."""
     spread: float
@@ -180,6 +181,7 @@ def make_signals(
         pool,
         centring,
         gain,
+        data.sample_time,
         middle,
         spread,
         scheduling,

@@ -3,7 +3,7 @@
 import dataclasses
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from jaxnarx.identification import (
     sentences,
 )
 from jaxnarx.models import Network, drop_outputs
+from jaxnarx.settings import Physics
 from jaxnarx.shell import interrupt
 from jaxnarx.shell.commands import Identify
 from jaxnarx.shell.commands.search import Automatic
@@ -62,7 +63,8 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         train, validation = search_records(split)
         tell_findings(train)
         Origin.from_options(command.description, command.root).write(folder)
-        fit, stopped = _run(asked, train, validation, folder)
+        physics = _chosen_physics(asked, split.physics)
+        fit, stopped = _run(asked, train, validation, folder, physics)
         network, board = drop_outputs(fit.value), fit.stats["leaderboard"]
         parts = scored_parts(train, validation, split.test, network)
         if look := fit.stats.get("look"):
@@ -144,7 +146,11 @@ def _count_candidates(folder: Path) -> int:
 
 
 def _run(
-    asked: Automatic, train: Dataset, validation: Dataset | None, folder: Path
+    asked: Automatic,
+    train: Dataset,
+    validation: Dataset | None,
+    folder: Path,
+    physics: Mapping[str, Physics],
 ) -> tuple[Solution[Network], bool]:
     """The search, and whether Ctrl-C has ended it."""
     if there := _count_candidates(folder):
@@ -167,8 +173,21 @@ def _run(
             validation=validation,
             folder=folder,
             progress=progress,
+            physics=physics,
         )
     return fit, patience.used
+
+
+def _chosen_physics(
+    asked: Automatic, physics: Mapping[str, Physics]
+) -> dict[str, Physics]:
+    """The signs of the outputs that are asked for; they are told."""
+    wanted: Any = asked.outputs or physics
+    chosen = {name: one for name, one in physics.items() if name in wanted}
+    if chosen:
+        told = "; ".join(f"{name} {one}" for name, one in chosen.items())
+        say(f"By physics, at rest: {told}")
+    return chosen
 
 
 def _tell_kept(folder: Path) -> None:
