@@ -11,7 +11,11 @@ from typing import Any
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 RESULTS = EXPERIMENTS / "benchmarks" / "results"
+CALIBRATED = "vct", "pfi", "gtdi", "diesel"
+"""Beds of calibration."""
 ELSEWHERE = (
+    *(f"calibration_{bed}" for bed in CALIBRATED),
+    "calibration_robust",
     "adaptation",
     "bouc_wen",
     "control_speed",
@@ -37,6 +41,7 @@ def made() -> dict[str, str]:
         "_public.md": public,
         "_control.md": control,
         "_adaptation.md": adaptation,
+        "_calibration.md": calibration,
         "_recovery.md": recovery,
         "_nelles.md": nelles,
         "_gains.md": gains,
@@ -230,6 +235,40 @@ def control() -> str:
     times = [[name, number(v)] for name, v in timed.items() if isinstance(v, float)]
     tracked = table(head, rows) + source(path)
     return tracked + "\n" + table(["a sample", ""], times) + source(speed)
+
+
+def calibration() -> str:
+    """Maps optimised through models, and what the engines made of them; then maps for
+    a fleet."""
+    told = []
+    head = ["way", "promised", "realised", "missed", "at worst", "broken", "kept"]
+    head += ["another cycle", "broken there"]
+    for bed in CALIBRATED:
+        path, rows = RESULTS / f"calibration_{bed}.json", []
+        figures = loaded(path)["figures"]
+        for way, one in figures["summary"].items():
+            here, there = one["cycle"], one["another"]
+            promised = one["objective, promised"]
+            rows.append(
+                [
+                    way,
+                    number(sorted(promised)[len(promised) // 2]),
+                    number(here["objective, median"]),
+                    number(100 * here["promise missed by, median"], 2),
+                    number(100 * here["promise missed by, worst"], 2),
+                    number(100 * max(here["limit broken by, worst"], 0.0), 2),
+                    f"{here['limits kept to a percent']} of {len(promised)}",
+                    number(there["objective, median"]),
+                    number(100 * max(there["limit broken by, worst"], 0.0), 2),
+                ]
+            )
+        told.append(f"### {bed}\n\n{table(head, rows)}{source(path)}")
+    path = RESULTS / "calibration_robust.json"
+    fleet = loaded(path)["figures"]["summary"]
+    names = list(next(iter(fleet.values())))
+    rows = [[title, *(number(one[n]) for n in names)] for title, one in fleet.items()]
+    shares = table(["bed, way, cycle", *names], rows)
+    return "\n".join([*told, f"### Fleets\n\n{shares}{source(path)}"])
 
 
 def adaptation() -> str:

@@ -18,6 +18,7 @@ from jaxnarx.excitation._assess import visited_rows as visited_rows
 from jaxnarx.excitation.courses import driving_cycle as driving_cycle
 from jaxnarx.excitation.courses import limit_slope as limit_slope
 from jaxnarx.excitation.courses import ramps as ramps
+from jaxnarx.excitation.courses import random_drive as random_drive
 from jaxnarx.excitation.courses import steps as steps
 from jaxnarx.excitation.placement import discrepancy as discrepancy
 from jaxnarx.excitation.placement import latin_hypercube as latin_hypercube

@@ -7,7 +7,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxnarx.checks import Number, choice, finite, positive, whole
 from jaxnarx.errors import SpecError
@@ -148,3 +148,69 @@ def _range(low: Number | None, high: Number | None) -> tuple[float, float]:
             field="low",
         )
     return bottom, top
+
+
+ROADS = {"urban": (0.0, 60.0), "rural": (60.0, 90.0), "motorway": (90.0, 145.0)}
+"""Vehicle speeds of a road [km/h]."""
+_STANDING_SHARE = 0.25
+"""Share of the urban speeds that are stops."""
+_ACCELERATIONS = 0.3, 1.3
+"""Least and largest acceleration, and deceleration, of a random drive [m/s2]."""
+_HOLDS = 4.0, 40.0
+"""Shortest and longest time for which a speed is held [s]."""
+
+
+def random_drive(
+    key: PRNGKeyArray,
+    *,
+    sample_time: Number,
+    duration: Number,
+    shares: tuple[Number, Number, Number] = (0.34, 0.33, 0.33),
+) -> Float[Array, " time"]:
+    """Vehicle speed in km/h of a random drive: town, then country roads, then motorway.
+
+    Each takes its share of `duration` [s]. On a road speeds are drawn evenly from its
+    range (in town every fourth is a stop), held for 4 to 40 s, and reached with 0.3 to
+    1.3 m/s2, up or down; the drive begins and ends at rest. That is the shape of a test
+    of real driving emissions, not one that its trip requirements would accept:
+    Regulation (EU) 2017/1151, annex IIIA, section 6 (speeds of 60 and 90 km/h part the
+    roads; about a third of the distance each).
+
+    Example:
+        key = jax.random.key(0)
+        speed = jnx.excitation.random_drive(key, sample_time=0.1, duration=600)
+    """
+    step, end = positive(sample_time, "sample_time"), positive(duration, "duration")
+    if len(shares) != 3 or min(shares) < 0 or sum(shares) <= 0:
+        raise SpecError(
+            "shares must be three numbers from zero on, not all zero, for town, "
+            f"country and motorway, got {shares}",
+            field="shares",
+        )
+    ends = end * np.cumsum(shares) / sum(shares)
+    # As many as there can be: the shortest hold, and no time to change the speed.
+    count = math.ceil(end / _HOLDS[0])
+    keys = jax.random.split(key, 4)
+    level, hold, ramp, stop = (jax.random.uniform(k, (count,), float) for k in keys)
+    low, high = jnp.asarray(list(ROADS.values()), float).T
+
+    def reach(now, drawn):
+        time, speed = now
+        level, hold, ramp, stop = drawn
+        road = jnp.minimum(jnp.searchsorted(ends, time, side="right"), len(low) - 1)
+        standing = (road == 0) & (stop < _STANDING_SHARE)
+        aim = jnp.where(standing, 0.0, low[road] + level * (high - low)[road])
+        pace = 3.6 * (
+            _ACCELERATIONS[0] + ramp * (_ACCELERATIONS[1] - _ACCELERATIONS[0])
+        )
+        there = time + jnp.abs(aim - speed) / pace
+        left = there + _HOLDS[0] + hold * (_HOLDS[1] - _HOLDS[0])
+        return (left, aim), jnp.stack([there, left, aim])
+
+    start = jnp.zeros(2)
+    rows = jax.lax.scan(reach, (start[0], start[1]), (level, hold, ramp, stop))[1]
+    times = jnp.concatenate([start[:1], rows[:, :2].ravel()])
+    speeds = jnp.concatenate([start[:1], jnp.repeat(rows[:, 2], 2)])
+    at = jnp.asarray(np.arange(int(end / step * (1 + 1e-12)) + 1) * step, float)
+    brake = 3.6 * _ACCELERATIONS[1] * (at[-1] - at)
+    return jnp.minimum(jnp.interp(at, times, speeds), brake)

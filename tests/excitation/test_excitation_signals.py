@@ -18,6 +18,7 @@ from jaxnarx.excitation import (
     multisine,
     prbs,
     ramps,
+    random_drive,
     random_walk,
     steps,
 )
@@ -256,6 +257,25 @@ def test_phases_follow_each_other_and_accelerations_are_those_of_the_table():
     assert np.diff(whole).min() / 3.6 == pytest.approx(-1.39, abs=0.01)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_random_drive_goes_from_town_to_the_motorway(seed):
+    step, end = 0.5, 3600.0
+    speed = np.asarray(
+        random_drive(jax.random.key(seed), sample_time=step, duration=end)
+    )
+    assert speed.shape == (round(end / step) + 1,)
+    assert speed[0] == speed[-1] == 0 and speed.min() == 0 and 90 < speed.max() < 145
+    slope = np.abs(np.diff(speed)) / 3.6 / step
+    assert slope.max() <= 1.3 + 1e-9
+    town, country, motorway = np.split(speed[:-1], 3)
+    # What is begun on a road is driven to its end on the next one.
+    assert town.max() <= 60 and np.mean(town == 0) > 0.05
+    assert np.median(country) == pytest.approx(75, abs=12)
+    assert np.median(motorway) == pytest.approx(117, abs=18)
+    other = random_drive(jax.random.key(seed + 7), sample_time=step, duration=end)
+    assert not np.array_equal(speed, other)
+
+
 # what is refused ------------------------------------------------------------------
 
 UNIT = {"amplitude": (0.0, 1.0)}
@@ -267,6 +287,10 @@ SINES = UNIT | {"length": 64, "harmonics": [1]}
 
 def walk(**request):
     return random_walk(jax.random.key(1), **request)
+
+
+def drive(**request):
+    return random_drive(jax.random.key(1), **request)
 
 
 def actuator(**request):
@@ -289,6 +313,8 @@ IMPOSSIBLE: list[tuple[Callable[..., Any], dict[str, Any], dict[str, list]]] = [
     (ramps, RAMPS, {"rate": [[1.0], 0.0], "hold": [0], "levels": [[]]}),
     (ramps, RAMPS, {"sample_time": [np.nan]}),
     (driving_cycle, {}, {"sample_time": [0]}),
+    (drive, {"sample_time": 1.0, "duration": 60.0}, {"duration": [0.0, np.inf]}),
+    (drive, {"sample_time": 1.0, "duration": 60.0}, {"shares": [(0.0, 0.0, 0.0)]}),
 ]
 
 
