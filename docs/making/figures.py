@@ -20,6 +20,7 @@ ELSEWHERE = (
     "bouc_wen",
     "control_speed",
     "control_tracking",
+    "control_tracking_identified",
     "coverage",
     "coverage_coloured",
     "gengine1_identify",
@@ -215,26 +216,27 @@ CONTROLLED = {
 
 
 def control() -> str:
-    """Virtual engines steered by a network of their records, and what a step takes."""
-    path = RESULTS / "control_tracking.json"
-    rows = []
-    for title, told in loaded(path)["figures"]["summary"].items():
-        at = next((k for k in CONTROLLED if title.endswith(f", {k}")), None)
-        if at is None:
-            continue
-        for name, value in told.items():
-            left = name.endswith(", left")
-            if name in SILENT_OF_CONTROL or left != (at == "sisters, constant"):
+    """Virtual engines steered by networks of their records, and what a step takes."""
+    tracked = ""
+    for stem, models in TRACKED.items():
+        path, rows = RESULTS / f"{stem}.json", []
+        for title, told in loaded(path)["figures"]["summary"].items():
+            at = next((k for k in CONTROLLED if title.endswith(f", {k}")), None)
+            if at is None:
                 continue
-            cells = number(value["median"]), number(value["worst"])
-            task = title.removesuffix(f", {at}")
-            rows.append([task, CONTROLLED[at], name.removesuffix(", left"), *cells])
-    head = ["bed and commands", "steered", "target", "median", "worst"]
+            for name, value in told.items():
+                left = name.endswith(", left")
+                if name in SILENT_OF_CONTROL or left != (at == "sisters, constant"):
+                    continue
+                cells = number(value["median"]), number(value["worst"])
+                task = title.removesuffix(f", {at}")
+                rows.append([task, CONTROLLED[at], name.removesuffix(", left"), *cells])
+        head = [f"bed and commands, {models}", "steered", "target", "median", "worst"]
+        tracked += table(head, rows) + source(path) + "\n"
     speed = RESULTS / "control_speed.json"
     timed = loaded(speed)["figures"]
     times = [[name, number(v)] for name, v in timed.items() if isinstance(v, float)]
-    tracked = table(head, rows) + source(path)
-    return tracked + "\n" + table(["a sample", ""], times) + source(speed)
+    return tracked + table(["a sample", ""], times) + source(speed)
 
 
 def calibration() -> str:
@@ -304,6 +306,11 @@ def _ratio(told: dict[str, Any]) -> list[str]:
     return [number(told["median"]), number(told["worst"]), told["at most 1.2"]]
 
 
+TRACKED = {
+    "control_tracking": "model of second degree",
+    "control_tracking_identified": "model of the search",
+}
+"""Results of tracking, and the models that steered."""
 SILENT_OF_CONTROL = ("seconds", "largest excess")
 """Figures that the table leaves out."""
 
