@@ -19,7 +19,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._steady_states import operating_point, steady_states
 from jaxnarx.formatting import page
-from jaxnarx.models import Network
+from jaxnarx.models import Network, ranges
 from jaxnarx.partition import INPUT_STEP_SHARE, make_pairs
 from jaxnarx.settings import Physics, require_physics
 from jaxnarx.simulation import match_records
@@ -158,7 +158,8 @@ def count_wrong_signs(
         points: Operating points at which every gain is looked at.
 
     Returns:
-        The numbers of wrong and of known gains by output. A gain is wrong where the
+        The numbers of wrong and of known gains by output, over inputs that move in
+        these records. A gain is wrong where the
         output moves the other way by more than `FLAT_RANGE_SHARE` of its trained range
         for the whole range of the input; it is known where the network comes to rest
         on both sides of the point.
@@ -167,15 +168,19 @@ def count_wrong_signs(
         known = {"y": jnx.identification.Physics(increases_with=["a"])}
         print(jnx.evaluation.count_wrong_signs(network, data, known))
     """
-    data = match_records(network, data)
     require_physics(physics, data.channels.input_names, data.channels.output_names)
+    data = match_records(network, data)
     wide = np.asarray(network.high - network.low, float)
     wide = np.where(wide > 0, wide, 1.0)
     out = {}
     for o, name in enumerate(network.output_names):
         if name not in physics:
             continue
-        pairs = make_pairs(data, physics[name], output=name, points=points)
+        asked = _asked_here(data, physics[name])
+        if asked is None:
+            out[name] = WrongSigns(0, 0)
+            continue
+        pairs = make_pairs(data, asked, output=name, points=points)
         both = np.concatenate([pairs.low, pairs.high])
         ends = outputs_at_rest(network, data, both)[:, o].reshape(2, -1)
         rise = (ends[1] - ends[0]) / wide[network.signals[o]]
@@ -185,6 +190,18 @@ def count_wrong_signs(
         wrong = known & (rise < -FLAT_RANGE_SHARE * step)
         out[name] = WrongSigns(int(wrong.sum()), int(known.sum()))
     return out
+
+
+def _asked_here(data: Dataset, physics: Physics) -> Physics | None:
+    """The signs by inputs that move in these records, if there are any."""
+    low, high = ranges(data)
+    names = data.channels.input_names
+    moving = {n for s, n in enumerate(names) if high[s] > low[s]}
+    rising, falling = (
+        [name for name in names if name in moving]
+        for names in (physics.increases_with, physics.decreases_with)
+    )
+    return Physics(rising, falling) if rising or falling else None
 
 
 def _moved_inputs(network: Network) -> list[int]:

@@ -8,7 +8,7 @@ from jaxnarx.exporters._export import write_files as write_files
 from jaxnarx.exporters._javascript import javascript as javascript
 from jaxnarx.exporters._lower import lower as lower
 from jaxnarx.exporters.c_adapt import AdaptationRunner as AdaptationRunner
-from jaxnarx.exporters.c_adapt import Adaptive as Adaptive
+from jaxnarx.exporters.c_adapt import AdaptiveProgram as AdaptiveProgram
 from jaxnarx.exporters.c_adapt import adaptation_runner as adaptation_runner
 from jaxnarx.exporters.c_adapt import adaptive_files as adaptive_files
 from jaxnarx.exporters.calibration import map_of as map_of

@@ -11,7 +11,6 @@ left out. R. Verschueren and others, acados, Mathematical Programming Computatio
 
 import ctypes
 import dataclasses
-import subprocess
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -20,7 +19,7 @@ import numpy as np
 from jaxnarx.exporters._casadi import name_states, without_gaps
 from jaxnarx.exporters.c99 import c_syntax, table_lines
 from jaxnarx.exporters.code import Syntax, comment, statements, value_text
-from jaxnarx.exporters.compilers import WARNING_FLAGS, compiler
+from jaxnarx.exporters.compilers import compiler, load_library
 from jaxnarx.exporters.derivatives import gradient
 from jaxnarx.exporters.form import Builder, Op, SampleProgram, Value
 from jaxnarx.exporters.proof import (
@@ -301,18 +300,8 @@ class AcadosLibrary:
     """The file of `folder`, compiled there, as functions of numpy arrays."""
 
     def __init__(self, folder: Path, program: SampleProgram) -> None:
-        chosen = compiler()
-        if chosen is None:
-            raise ExportError("there is no C compiler here")
-        self.program, name = program, program.name
-        library = folder / f"{name}_acados.so"
-        command = [chosen, *WARNING_FLAGS, "-O1", "-fPIC", "-shared"]
-        command += [str(folder / f"{name}_acados.c"), "-lm", "-o", str(library)]
-        done = subprocess.run(command, capture_output=True, text=True)
-        if done.returncode:
-            text = done.stderr.strip()[:500]
-            raise ExportError(f"{name}_acados.c does not compile: {text}")
-        self.library = ctypes.CDLL(str(library))
+        self.program, source = program, folder / f"{program.name}_acados.c"
+        self.library = load_library([source], source.with_suffix(".so"), ["-O1"])
 
     def call(self, suffix: str, *given: np.ndarray) -> list[np.ndarray]:
         """Results of one of the functions, matrices as they are meant."""
@@ -331,18 +320,20 @@ class AcadosLibrary:
 
     def begin(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """The state at rest."""
-        x = np.zeros(max(len(list(name_states(self.program))), 1))
-        return self._begin("begin", u, y, x)
+        return self._begin(
+            "begin", u, y, np.zeros(len(list(name_states(self.program))))
+        )
 
     def observe(self, u: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
         """The state after a sample of measured history."""
-        return self._begin("observe", u, y, x.copy())
+        return self._begin("observe", u, y, x)
 
     def _begin(self, what: str, u, y, x) -> np.ndarray:
-        arrays = [np.ascontiguousarray(a, float) for a in (u, y)] + [x]
+        buffer = np.concatenate([x, np.zeros(1)])  # none of length zero
+        arrays = [np.ascontiguousarray(a, float) for a in (u, y)] + [buffer]
         pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in arrays]
         getattr(self.library, f"{self.program.name}_x_{what}")(*pointers)
-        return x
+        return buffer[: len(x)]
 
     def states(self, inputs: np.ndarray, measured: np.ndarray) -> Iterator[np.ndarray]:
         """The state before every sample of the free run."""
@@ -374,6 +365,8 @@ def prove_acados(program: SampleProgram, folder: Path, cases: Sequence[Case]) ->
         return {}, ["acados: there is no C compiler here"]
     library = AcadosLibrary(folder, without_gaps(program))
     finite = [case for case in cases if np.all(np.isfinite(case.inputs))]
+    if not finite:
+        return {}, ["acados: no record of the proof has finite inputs throughout"]
     found = worst(finite, acados_runner(library), DOUBLE_TOLERANCE, "C for acados")
     _prove_slopes(library, finite[0])
     return {"acados": found}, []

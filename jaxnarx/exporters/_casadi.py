@@ -213,4 +213,6 @@ def prove_casadi(program: SampleProgram, folder: Path, cases: Sequence[Case]) ->
         return {}, ["casadi: it is not installed here"]
     run = casadi_runner(folder / f"{program.name}_casadi.py")
     finite = [case for case in cases if np.all(np.isfinite(case.inputs))]
+    if not finite:
+        return {}, ["casadi: no record of the proof has finite inputs throughout"]
     return {"casadi": worst(finite, run, DOUBLE_TOLERANCE, "CasADi")}, []

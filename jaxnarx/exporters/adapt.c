@@ -4,7 +4,7 @@ typedef struct {
     const int *terms;
     const int *at;
     const NAME_real *first;
-} part_type;
+} learnt_part;
 
 static NAME_real limit(NAME_real x, NAME_real low, NAME_real high)
 {
@@ -12,7 +12,7 @@ static NAME_real limit(NAME_real x, NAME_real low, NAME_real high)
     return (above < high) ? above : high;
 }
 
-static void restore(const part_type *p, NAME_real *theta, const NAME_real *from)
+static void restore(const learnt_part *p, NAME_real *theta, const NAME_real *from)
 {
     int k;
     for (k = 0; k < p->numbers; k++) {
@@ -21,7 +21,7 @@ static void restore(const part_type *p, NAME_real *theta, const NAME_real *from)
 }
 
 /* roots of covariances: FIRST times the unit matrix */
-static void reset(const part_type *p, NAME_real *root)
+static void reset(const learnt_part *p, NAME_real *root)
 {
     int g;
     int k;
@@ -36,7 +36,7 @@ static void reset(const part_type *p, NAME_real *root)
 }
 
 /* what these coefficients say */
-static NAME_real answer(const part_type *p, const NAME_real *theta,
+static NAME_real answer(const learnt_part *p, const NAME_real *theta,
     const NAME_real *x, const NAME_real *share)
 {
     NAME_real total = 0.0;
@@ -93,9 +93,9 @@ static void update(int n, const int *places, NAME_real *theta, NAME_real *root,
             }
         }
         for (i = 0; i < n; i++) {
+            const NAME_real less = f[i] * shrink;
             for (j = 0; j < n; j++) {
-                root[(i * n) + j] =
-                    (root[(i * n) + j] * larger) - (f[i] * shrink * gain[j]);
+                root[(i * n) + j] = (root[(i * n) + j] * larger) - (less * gain[j]);
             }
             theta[places[i]] += (share * error / a) * gain[i];
         }
@@ -103,7 +103,7 @@ static void update(int n, const int *places, NAME_real *theta, NAME_real *root,
 }
 
 /* all groups of an output; together they learn what the other models leave */
-static void learn(const part_type *p, NAME_real *theta, NAME_real *root,
+static void learn(const learnt_part *p, NAME_real *theta, NAME_real *root,
     const NAME_real *x, const NAME_real *share, NAME_real y, NAME_real predicted,
     int joint)
 {
@@ -135,7 +135,7 @@ static void note(NAME_adaptation *a, int o, NAME_real y, NAME_real predicted,
 }
 
 /* the end of a window: keep what was learnt, or go back; 1: it was undone */
-static int judge(NAME_adaptation *a, int o, const part_type *p, NAME_real *theta,
+static int judge(NAME_adaptation *a, int o, const learnt_part *p, NAME_real *theta,
     NAME_real *good, NAME_real *root, NAME_real gain)
 {
     NAME_real *const sums = &a->sums[3 * o];
@@ -157,9 +157,11 @@ static int judge(NAME_adaptation *a, int o, const part_type *p, NAME_real *theta
     for (k = 0; k < p->numbers; k++) {
         fine = (isfinite(theta[k]) != 0) ? fine : 0;
     }
-    a->rmse[o] = ROOT(error) * gain;
-    a->rmse_start[o] = ROOT(started) * gain;
-    a->drift[o] = ROOT(sums[2] / count) * gain;
+    if (a->count[o] > 0) {
+        a->rmse[o] = ROOT(error) * gain;
+        a->rmse_start[o] = ROOT(started) * gain;
+        a->drift[o] = ROOT(sums[2] / count) * gain;
+    }
     if (fine != 0) {
         restore(p, good, theta);
     } else {

@@ -81,7 +81,7 @@ _IEEE_NOTE = (
     "Comparisons tell whether a value is missing, so the compiler must keep to IEEE "
     "754: -ffast-math, -Ofast and -ffinite-math-only are refused."
 )
-_REFUSED_FLAGS = [
+REFUSED_FLAGS = [
     "#ifdef __FAST_MATH__",
     '#error "compile without -ffast-math: a missing input would not be found"',
     "#endif",
@@ -208,7 +208,7 @@ def _source(program: SampleProgram) -> str:
         "",
         "#include <math.h>",
         "",
-        *_REFUSED_FLAGS,
+        *REFUSED_FLAGS,
         f"#ifdef {upper}_SINGLE",
         *(f"#define {upper}_{f.upper()}(x) {f}f(x)" for f in functions),
         f"#define {upper}_STILL ({name}_real)1e-6",

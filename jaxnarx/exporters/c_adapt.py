@@ -9,7 +9,6 @@ are undone.
 import ctypes
 import dataclasses
 import itertools
-import subprocess
 from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
@@ -17,12 +16,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.exporters.c99 import c_syntax, store_lines, told_lines
-from jaxnarx.exporters.code import Syntax, digits, statements, value_text
-from jaxnarx.exporters.compilers import WARNING_FLAGS, compiler
+from jaxnarx.exporters.c99 import REFUSED_FLAGS, c_syntax, store_lines, told_lines
+from jaxnarx.exporters.code import Syntax, statements, value_text
+from jaxnarx.exporters.compilers import load_library
 from jaxnarx.exporters.form import INDEX_FLAG, LearntOutput, SampleProgram, Value
 from jaxnarx.exporters.notes import wrap_paragraphs
-from jaxnarx.exporters.proof import ExportError
 from jaxnarx.exporters.target import Files
 from jaxnarx.settings import LEAST_WINDOW_ERROR, Recursive
 
@@ -38,7 +36,7 @@ at the end, output by output."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Adaptive:
+class AdaptiveProgram:
     """A program, with regressions, that learns; `past` is one of the three above, and
     `chosen` are the local models of every output that learn."""
 
@@ -64,14 +62,17 @@ class Adaptive:
 
     @property
     def numbers(self) -> int:
-        """Numbers in memory, but for the states of the model."""
+        """Numbers in memory: runs of the model, coefficients twice, roots of all
+        covariances, sums and errors."""
+        lines = sum(line.length for line in self.program.delays)
+        runs = len(states_of(self)) * (lines + len(self.program.states))
         tables = sum(2 * self.program.table(p.table).values.size for p in self.parts)
-        return tables + sum(p.root for p in self.parts) + 9 * len(self.parts)
+        return runs + tables + sum(p.root for p in self.parts) + 6 * len(self.parts)
 
     @property
     def multiplications(self) -> int:
-        """Multiplications of a sample beside those of the model."""
-        return sum(4 * n**2 + 7 * n for part in self.parts for n in part.terms)
+        """Multiplications of a sample beside those of the model, at most."""
+        return sum(5 * n**2 + 9 * n for part in self.parts for n in part.terms)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,7 +110,7 @@ class LearntTerms:
         return sum(n**2 for n in self.terms)
 
 
-def adaptive_files(adaptive: Adaptive) -> Files:
+def adaptive_files(adaptive: AdaptiveProgram) -> Files:
     """Header and source, by their names."""
     name = adaptive.program.name
     return {
@@ -118,7 +119,7 @@ def adaptive_files(adaptive: Adaptive) -> Files:
     }
 
 
-def _header(adaptive: Adaptive) -> str:
+def _header(adaptive: AdaptiveProgram) -> str:
     program, method = adaptive.program, adaptive.method
     name, upper = program.name, program.name.upper()
     outputs = len(program.regressions)
@@ -128,16 +129,18 @@ def _header(adaptive: Adaptive) -> str:
         f"{method.forgetting:g}, start {method.start:g}, windows of {method.window} "
         f"samples. Past outputs that enter: {adaptive.past}.",
         "y are the outputs as they are measured now, NaN where one is not: nothing is "
-        "learnt from that, nor outside of the domain, nor where an input is missing.",
-        f"{adaptive.numbers} numbers in memory beside the states of the model, "
-        f"{adaptive.multiplications} multiplications a sample beside its own.",
+        "learnt from that, nor outside of the domain, nor where an input is missing, "
+        f"nor before {program.history} samples in a row were complete: until then the "
+        "run goes by measured outputs.",
+        f"{adaptive.numbers} numbers in memory, and {adaptive.multiplications} "
+        "multiplications a sample at most beside those of the model.",
     ]
     lines = [
         f"/* {name}_adapt: the model of {name}.h, learning while it runs.",
         " *",
-        f" *   {name}_begin(&state, u, y); {upper}_HISTORY times {name}_observe",
+        f" *   {name}_begin(&state, u, y);      at the first sample",
         f" *   {name}_adapt_begin(&a, &state);",
-        f" *   {name}_adapt(&a, u, y, &out);   in place of {name}_step",
+        f" *   {name}_adapt(&a, u, y, &out);    at this and every other sample",
         " *",
         *wrap_paragraphs(about, " * "),
         " */",
@@ -146,11 +149,15 @@ def _header(adaptive: Adaptive) -> str:
         "",
         f'#include "{name}.h"',
         "",
+        f"#ifdef {upper}_SINGLE",
+        '#error "learning is proven in double precision alone"',
+        "#endif",
+        "",
         "/* rmse, that of the model as it began, and the root mean square of their",
-        " * difference: of the last whole window, in the outputs' units; undone: how",
-        " * many windows were. */",
+        " * difference: of the last whole window that had a sample, in the outputs'",
+        " * units; undone: how many windows were. */",
         "typedef struct {",
-        *(f"    {name}_state {state};" for state in _states(adaptive)),
+        *(f"    {name}_state {state};" for state in states_of(adaptive)),
         *(
             f"    {real} {what}[{size}];"
             for part in adaptive.parts
@@ -168,6 +175,7 @@ def _header(adaptive: Adaptive) -> str:
         f"    int undone[{outputs}];",
         "    int at;",
         "    int ready;",
+        "    int begun;",
         f"}} {name}_adaptation;",
         "",
         f"void {name}_adapt_begin({name}_adaptation *a, const {name}_state *s);",
@@ -179,18 +187,18 @@ def _header(adaptive: Adaptive) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _states(adaptive: Adaptive) -> list[str]:
+def states_of(adaptive: AdaptiveProgram) -> list[str]:
     """Runs that are kept: where a model is fed with its own past, also that of the
     model as it began, and that of measured outputs, to go back to."""
     return ["model", "start", "seen"] if adaptive.past == SIMULATED else ["model"]
 
 
-def _source(adaptive: Adaptive) -> str:
+def _source(adaptive: AdaptiveProgram) -> str:
     program = adaptive.program
     name, upper = program.name, program.name.upper()
     most = max(max(part.terms) for part in adaptive.parts)
     learning = resources.files("jaxnarx.exporters") / "adapt.c"
-    method = adaptive.method
+    method, number = adaptive.method, c_syntax(program).number
     numbers = {
         "FORGETTING": method.forgetting,
         "FIRST": method.start,
@@ -205,16 +213,12 @@ def _source(adaptive: Adaptive) -> str:
         "",
         "#include <math.h>",
         "",
-        *(f"#define {k} ({name}_real){digits(float(v))}" for k, v in numbers.items()),
+        *REFUSED_FLAGS,
+        *(f"#define {k} {number(float(v))}" for k, v in numbers.items()),
         f"#define WINDOW {method.window}",
         f"#define MOST_TERMS {most}",
-        f"#ifdef {upper}_SINGLE",
-        "#define ROOT(x) sqrtf(x)",
-        "#define EXPONENTIAL(x) expf(x)",
-        "#else",
         "#define ROOT(x) sqrt(x)",
         "#define EXPONENTIAL(x) exp(x)",
-        "#endif",
         f"#define {upper}_EXP(x) EXPONENTIAL(x)",
         f"#define {upper}_SQRT(x) ROOT(x)",
         "",
@@ -225,7 +229,7 @@ def _source(adaptive: Adaptive) -> str:
         lines += [
             f"static const int terms_{word}[{len(part.terms)}] = {_set(part.terms)};",
             f"static const int at_{word}[{len(part.entries)}] = {_set(part.entries)};",
-            f"static const part_type part_{word} = {{",
+            f"static const learnt_part part_{word} = {{",
             f"    {len(part.terms)}, {program.table(part.table).values.size},",
             f"    terms_{word}, at_{word}, {name}_{part.table}",
             "};",
@@ -239,13 +243,13 @@ def _set(numbers: Sequence[int]) -> str:
     return "{\n    " + ",\n    ".join(", ".join(map(str, r)) for r in rows) + "\n}"
 
 
-def _begin(adaptive: Adaptive) -> list[str]:
+def _begin(adaptive: AdaptiveProgram) -> list[str]:
     name, upper = adaptive.program.name, adaptive.program.name.upper()
     lines = [
         f"void {name}_adapt_begin({name}_adaptation *a, const {name}_state *s)",
         "{",
         "    int k;",
-        *(f"    a->{state} = *s;" for state in _states(adaptive)),
+        *(f"    a->{state} = *s;" for state in states_of(adaptive)),
     ]
     for o, part in enumerate(adaptive.parts):
         word = part.word
@@ -264,13 +268,14 @@ def _begin(adaptive: Adaptive) -> list[str]:
         f"    for (k = 0; k < {3 * len(adaptive.parts)}; k++) {{",
         "        a->sums[k] = 0.0;",
         "    }",
-        f"    a->at = {upper}_HISTORY % WINDOW;",
-        f"    a->ready = {upper}_HISTORY;",
+        "    a->at = 0;",
+        "    a->ready = 0;",
+        f"    a->begun = ({upper}_HISTORY == 0) ? 1 : 0;",
         "}",
     ]
 
 
-def _learning_syntax(adaptive: Adaptive) -> Syntax:
+def _learning_syntax(adaptive: AdaptiveProgram) -> Syntax:
     """Coefficients are those in memory."""
     syntax, own = c_syntax(adaptive.program), {p.table for p in adaptive.parts}
     fixed = syntax.source["table"]
@@ -281,9 +286,10 @@ def _learning_syntax(adaptive: Adaptive) -> Syntax:
     return dataclasses.replace(syntax, source={**syntax.source, "table": table})
 
 
-def _adapt(adaptive: Adaptive) -> list[str]:
+def _adapt(adaptive: AdaptiveProgram) -> list[str]:
     program, syntax = adaptive.program, _learning_syntax(adaptive)
-    name, measured = program.name, adaptive.past == MEASURED
+    name, upper = program.name, program.name.upper()
+    measured = adaptive.past == MEASURED
     asked = [n for p in adaptive.parts for n in _values(p)]
     needed = program.needed_operations(
         [*program.step, *(program.observe if measured else ()), *asked]
@@ -306,6 +312,14 @@ def _adapt(adaptive: Adaptive) -> list[str]:
         ),
         *store_lines(program, syntax, measured=measured),
         *([f"    {name}_observe(&a->seen, u, y);"] if own else []),
+        "    if (a->begun == 0) {",
+        *(
+            ["        a->model = a->seen;", "        a->start = a->seen;"]
+            if own
+            else []
+        ),
+        f"        a->begun = (a->ready >= {upper}_HISTORY) ? 1 : 0;",
+        "    }",
         "    a->at++;",
         "    if (a->at >= WINDOW) {",
         *(["        int lost = 0;"] if own else []),
@@ -336,23 +350,29 @@ def _values(part: LearntTerms) -> list[Value]:
     return [*own, one.value, one.measured, one.there]
 
 
-def _usable(adaptive: Adaptive, syntax: Syntax) -> list[str]:
-    """Whether anything can be learnt at this sample."""
+def _usable(adaptive: AdaptiveProgram, syntax: Syntax) -> list[str]:
+    """Whether anything can be learnt at this sample, and what is complete behind it.
+
+    The history that a run begins from needs its outputs too, where they enter."""
     program, upper = adaptive.program, adaptive.program.name.upper()
     text = {k: value_text(program, n, syntax) for k, n in program.flags.items()}
     half = syntax.number(0.5)
-    there = [f"({text['missing']} < {half})"]
+    inputs = f"({text['missing']} < {half})"
+    own = (value_text(program, p.regression.there, syntax) for p in adaptive.parts)
+    outputs = [f"({one} > {half})" for one in own]
+    measured = f"({' && '.join(outputs)})"
+    there = inputs
     if adaptive.past == MEASURED:
-        own = (value_text(program, p.regression.there, syntax) for p in adaptive.parts)
-        there += [f"({one} > {half})" for one in own]
-    known = f"(a->ready >= {upper}_HISTORY)"
-    wanted = [known, there[0]]
+        there = f"({inputs} && {measured})"
+    if adaptive.past == SIMULATED:
+        there = f"({inputs} && ((a->begun != 0) || {measured}))"
+    wanted = [f"(a->ready >= {upper}_HISTORY)", "(a->begun != 0)", inputs]
     if INDEX_FLAG in text and adaptive.method.largest_index is not None:
         largest = syntax.number(adaptive.method.largest_index)
         wanted.append(f"({text[INDEX_FLAG]} <= {largest})")
     return [
         f"    usable = ({' && '.join(wanted)}) ? 1 : 0;",
-        f"    if ({' && '.join(there)}) {{",
+        f"    if {there} {{",
         f"        a->ready = (a->ready < {upper}_HISTORY) ? (a->ready + 1) : a->ready;",
         "    } else {",
         "        a->ready = 0;",
@@ -360,7 +380,7 @@ def _usable(adaptive: Adaptive, syntax: Syntax) -> list[str]:
     ]
 
 
-def _learn(part: LearntTerms, o: int, adaptive: Adaptive) -> list[str]:
+def _learn(part: LearntTerms, o: int, adaptive: AdaptiveProgram) -> list[str]:
     """One output learns."""
     program, syntax = adaptive.program, _learning_syntax(adaptive)
     one, word, real = part.regression, part.word, f"{adaptive.program.name}_real"
@@ -400,30 +420,21 @@ def _learn(part: LearntTerms, o: int, adaptive: Adaptive) -> list[str]:
     ]
 
 
-def adaptation_runner(folder: Path, adaptive: Adaptive) -> AdaptationRunner:
+def adaptation_runner(folder: Path, adaptive: AdaptiveProgram) -> AdaptationRunner:
     """The files of `folder`, compiled there."""
     program = adaptive.program
     name, upper = program.name, program.name.upper()
-    chosen = compiler()
-    if chosen is None:
-        raise ExportError("there is no C compiler here")
     sizes = [program.table(p.table).values.size for p in adaptive.parts]
     copies, at = [], 0
     for part, size in zip(adaptive.parts, sizes, strict=True):
         copies.append(f"for (k = 0; k < {size}; k++)")
         copies.append(f"    theta[{at} + k] = a.{part.table}[k];")
         at += size
-    page = _HARNESS.replace("COPIES", "\n    ".join(copies))
+    page = _HARNESS.replace("NAME", name).replace("UPPER", upper)
     harness = folder / "adapt_harness.c"
-    harness.write_text(page.replace("NAME", name).replace("UPPER", upper))
-    library = folder / f"{name}_adapt.so"
+    harness.write_text(page.replace("COPIES", "\n    ".join(copies)))
     sources = [folder / f"{name}.c", folder / f"{name}_adapt.c", harness]
-    command = [chosen, *WARNING_FLAGS, "-O2", "-fPIC", "-shared", f"-I{folder}"]
-    command += [*map(str, sources), "-lm", "-o", str(library)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise ExportError(f"{name}_adapt.c does not compile: {done.stderr[:500]}")
-    call = ctypes.CDLL(str(library)).run
+    call = load_library(sources, folder / f"{name}_adapt.so").run
 
     def run(inputs, measured):
         u, y = (np.ascontiguousarray(x, float) for x in (inputs, measured))
@@ -444,11 +455,8 @@ void run(int n, const double *u, const double *y, double *theta)
     NAME_out out;
     int t, k;
     NAME_begin(&s, u, y);
-    for (t = 0; t < UPPER_HISTORY; t++) {
-        NAME_observe(&s, &u[t * UPPER_INPUTS], &y[t * UPPER_COMPUTED]);
-    }
     NAME_adapt_begin(&a, &s);
-    for (; t < n; t++) {
+    for (t = 0; t < n; t++) {
         NAME_adapt(&a, &u[t * UPPER_INPUTS], &y[t * UPPER_COMPUTED], &out);
     }
     COPIES

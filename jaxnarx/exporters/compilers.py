@@ -1,7 +1,13 @@
 """The C compilers of this machine."""
 
+import ctypes
 import os
 import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+from jaxnarx.exporters.proof import ExportError
 
 WARNING_FLAGS = (
     "-std=c99",
@@ -25,3 +31,23 @@ def compilers() -> tuple[str, ...]:
 def compiler() -> str | None:
     """The first, where there is one."""
     return next(iter(compilers()), None)
+
+
+def load_library(
+    sources: Sequence[Path],
+    library: Path,
+    options: Sequence[str] = ("-O2",),
+    cc: str | None = None,
+) -> ctypes.CDLL:
+    """C files compiled beside the first of them, and loaded; warnings are errors."""
+    chosen = cc or compiler()
+    if chosen is None:
+        raise ExportError("there is no C compiler here")
+    command = [chosen, *WARNING_FLAGS, *options, "-fPIC", "-shared"]
+    command += [f"-I{sources[0].parent}", *map(str, sources)]
+    command += ["-lm", "-o", str(library)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        text = done.stderr.strip()[:500]
+        raise ExportError(f"{sources[0].name} does not compile: {text}")
+    return ctypes.CDLL(str(library))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.exporters import form
-from jaxnarx.exporters.compilers import WARNING_FLAGS, compiler, compilers
+from jaxnarx.exporters.compilers import compiler, compilers, load_library
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.proof import (
     DOUBLE_TOLERANCE,
@@ -111,13 +111,9 @@ def c_runner(
     assert chosen is not None
     kind = "single" if single else "double"
     library = build / f"{name}_{kind}_{Path(chosen).name}.so"
-    command = [chosen, *WARNING_FLAGS, "-O2", "-fPIC", "-shared", f"-I{folder}"]
-    command += [f"-D{upper}_SINGLE"] if single else []
-    command += [str(folder / f"{name}.c"), str(harness), "-lm", "-o", str(library)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise ExportError(f"{name}.c does not compile: {done.stderr.strip()[:500]}")
-    call = ctypes.CDLL(str(library)).run
+    options = ["-O2", *([f"-D{upper}_SINGLE"] if single else [])]
+    sources = [folder / f"{name}.c", harness]
+    call = load_library(sources, library, options, chosen).run
 
     def run(inputs, measured):
         u, y = (np.ascontiguousarray(x, float) for x in (inputs, measured))

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.data import Dataset
+from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.exporters import (
+    ONLY_DOUBLE,
     AdaptationRunner,
-    Adaptive,
+    AdaptiveProgram,
     Exported,
     ExportError,
     adaptation_runner,
@@ -22,9 +23,9 @@ from jaxnarx.exporters import (
 from jaxnarx.files import TemporaryFolder
 from jaxnarx.linear._adapt import adapt
 from jaxnarx.linear.adapt_program import make_plan
-from jaxnarx.models import Network
+from jaxnarx.models import Network, looks_back
 from jaxnarx.settings import Recursive
-from jaxnarx.simulation import match_records
+from jaxnarx.simulation import make_masks, match_records
 
 TOLERANCE = 1e-9
 """Largest difference of a coefficient, in shares of the largest of its output."""
@@ -42,20 +43,23 @@ def export_adaptation(
 
     Beside the header, source and self-test of `jnx.export` stand `NAME_adapt.h` and
     `NAME_adapt.c`: `NAME_adapt(&a, u, y, &out)` in place of `NAME_step` takes the
-    measured outputs as well, NaN where one is missing, and reports what `NAME_step`
-    would. Memory and multiplications stand in the header. It is compiled, and its
-    coefficients behind every record of `data` are compared with those of `adapt`;
-    `ExportError` where one differs by more than 1e-9 of its output's largest.
+    measured outputs as well, NaN where one is missing, from the first sample on, and
+    reports what `NAME_step` would. Memory and multiplications stand in the header. It
+    is compiled, and its coefficients behind every record of `data` are compared with
+    those of `adapt`; `ExportError` where one differs by more than 1e-9 of its output's
+    largest.
 
     Args:
         network: The model, as `adapt` takes it, with one group of local models for
             every output (no sum of models).
-        data: Records for the proof, of at least one `window`.
+        data: Records for the proof. Those count that have at least one `window` and
+            begin with a complete history.
         method: The settings of `adapt`.
         name: Name of the files and their functions.
 
     Returns:
-        The files; `difference` has that of the coefficients as `"c, adaptation"`.
+        The files, for double precision; `difference` has that of the coefficients as
+        `"c, adaptation"`, `program` is that of the model alone.
 
     Example:
         found = jnx.linear.export_adaptation(network, data, name="NOx")
@@ -72,14 +76,16 @@ def export_adaptation(
                 "one",
                 field="network",
             )
-    found = export(network, data, to=["c"], name=name, index=True)
+    _require_terms(network)
+    records = _whole_records(network, match_records(network, data), method)
+    found = export(network, data, to=["c"], name=name, precision=ONLY_DOUBLE)
     adaptive = adaptive_program(network, method, name)
     files = adaptive_files(adaptive)
-    records = _whole_windows(match_records(network, data), method.window)
     with TemporaryFolder() as place:
         write_files(Path(place), {**found.files, **files})
         run = adaptation_runner(Path(place), adaptive)
-        worst = max(_difference(network, method, adaptive, run, r) for r in records)
+        every = [_difference(network, method, adaptive, run, one) for one in records]
+    worst = float(np.max(every))
     if not worst <= TOLERANCE:
         raise ExportError(
             f"coefficients that the C has learnt differ from those of adapt by "
@@ -91,10 +97,8 @@ def export_adaptation(
     )
 
 
-def adaptive_program(network: Network, method: Recursive, name: str) -> Adaptive:
+def adaptive_program(network: Network, method: Recursive, name: str) -> AdaptiveProgram:
     """What is to learn, as exports take it."""
-    tables = [network.variables, *(m.scheduling for m in network.models)]
-    fed = any(s in network.signals for table in tables for s, _ in table)
     chosen = []
     for model, own in zip(
         network.models, make_plan(network, method).chosen, strict=True
@@ -102,20 +106,44 @@ def adaptive_program(network: Network, method: Recursive, name: str) -> Adaptive
         active = np.flatnonzero(np.asarray(model.active)).tolist()
         chosen.append(tuple(active.index(m) for m in own))
     program = lower(network, name, learnable=True)
-    past = method.regressors if fed else "none"
-    return Adaptive(program, method, past, tuple(chosen))
+    past = method.regressors if looks_back(network) else "none"
+    return AdaptiveProgram(program, method, past, tuple(chosen))
 
 
-def _whole_windows(data: Dataset, window: int) -> list[Dataset]:
-    """Records one by one, as far as their whole windows go; a control unit has no last
-    sample after which a part of one is judged."""
-    records = (r.part(0, len(r) - len(r) % window) for r in data if len(r) >= window)
-    found = [dataclasses.replace(data, records=(one,)) for one in records]
+def _require_terms(network: Network) -> None:
+    """SpecError where a coefficient is zero: exports leave its term out."""
+    for name, model in zip(network.output_names, network.models, strict=True):
+        active = np.flatnonzero(np.asarray(model.active))
+        slots = np.asarray(model.local.used)[active].sum(axis=1)
+        terms = np.count_nonzero(np.asarray(model.local.dense())[active], axis=1)
+        wrong = np.flatnonzero(slots != terms)
+        if len(wrong):
+            raise SpecError(
+                f"local model {active[wrong[0]] + 1} of {name} has "
+                f"{slots[wrong[0]]} coefficients for {terms[wrong[0]]} terms: one is "
+                "zero, or two are of one term. C has no place for these; take the term "
+                "out, or adapt the network over some records first",
+                field="network",
+            )
+
+
+def _whole_records(network: Network, data: Dataset, method: Recursive) -> list[Dataset]:
+    """Records one by one, as far as their whole windows go, for a control unit has no
+    last sample after which a part of one is judged; those that begin with a complete
+    history, as every proof of an export needs."""
+    begun = make_masks(network, stack_records(data)).start == network.history
+    window, found = method.window, []
+    for record, whole in zip(data, begun, strict=True):
+        count = len(record) - len(record) % window
+        if whole and count > network.history:
+            part = dataclasses.replace(data, records=(record.part(0, count),))
+            found.append(part)
     if not found:
-        longest = max(len(r) for r in data)
+        longest = max(len(record) for record in data)
         raise DataError(
-            f"the proof needs a record of at least one window of {window} samples; the "
-            f"longest has {longest}"
+            f"the proof needs a record that begins with {network.history} complete "
+            f"samples and has at least one window of {window} samples; the longest has "
+            f"{longest}"
         )
     return found
 
@@ -123,7 +151,7 @@ def _whole_windows(data: Dataset, window: int) -> list[Dataset]:
 def _difference(
     network: Network,
     method: Recursive,
-    adaptive: Adaptive,
+    adaptive: AdaptiveProgram,
     run: AdaptationRunner,
     data: Dataset,
 ) -> float:
@@ -138,10 +166,10 @@ def _difference(
         for ports in (program.inputs, program.computed)
     )
     found = run(inputs, outputs)
-    worst, at = 0.0, 0
+    differences, at = [], 0
     for part in adaptive.parts:
         theta = expected.table(part.table).values.ravel()
         own = found[at : at + theta.size]
-        worst = max(worst, float(np.max(np.abs(own - theta)) / np.max(np.abs(theta))))
+        differences.append(np.max(np.abs(own - theta)) / np.max(np.abs(theta)))
         at += theta.size
-    return worst
+    return float(np.max(differences))

@@ -16,8 +16,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import Recursion, program, update_recursion
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, OutputModel, scheduling_values, with_history
-from jaxnarx.regressors import evaluate
+from jaxnarx.models import (
+    Network,
+    OutputModel,
+    scheduling_values,
+    term_values,
+    with_history,
+)
 from jaxnarx.settings import LEAST_WINDOW_ERROR, Recursive
 
 
@@ -64,6 +69,7 @@ def make_plan(network: Network, method: Recursive) -> AdaptationPlan:
 
 
 def output_rows(
+    network: Network,
     model: OutputModel,
     chosen: tuple[int, ...],
     v: Float[Array, "vars *rows"],
@@ -71,7 +77,7 @@ def output_rows(
 ) -> RegressionRows:
     """Rows of one output from its lagged and scheduling variables."""
     local, at = model.local, np.array(chosen)
-    terms = evaluate(local.factor, v)
+    terms = term_values(network, model, v)
     phi = model.validity(scheduling_values(model, x), model.active)
     tail = (1,) * (v.ndim - 1)
     used = local.used[at].reshape(*local.used[at].shape, *tail)
@@ -254,7 +260,7 @@ def adapt_windows(
 
     def regression_rows(v, x):
         parts = zip(network.models, plan.chosen, x, strict=True)
-        return [output_rows(m, c, v, x_o) for m, c, x_o in parts]
+        return [output_rows(network, m, c, v, x_o) for m, c, x_o in parts]
 
     def sample(carry, now):
         outputs, past, lost = carry

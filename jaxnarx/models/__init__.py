@@ -33,6 +33,7 @@ from jaxnarx.models.feedback import fed_back_variables as fed_back_variables
 from jaxnarx.models.feedback import fold_slopes as fold_slopes
 from jaxnarx.models.feedback import general_step as general_step
 from jaxnarx.models.feedback import group_weights as group_weights
+from jaxnarx.models.feedback import looks_back as looks_back
 from jaxnarx.models.feedback import monomials as monomials
 from jaxnarx.models.feedback import places as places
 from jaxnarx.models.feedback import respond as respond

@@ -46,6 +46,12 @@ def fed_back_variables(
     ]
 
 
+def looks_back(network: Network) -> bool:
+    """Whether past outputs enter terms or the scheduling."""
+    tables = [network.variables, *(m.scheduling for m in network.models)]
+    return any(s in network.signals for table in tables for s, _ in table)
+
+
 def depth(network: Network) -> int:
     """Past outputs the time loop must carry; at least one."""
     tables = [network.variables, *(m.scheduling for m in network.models)]

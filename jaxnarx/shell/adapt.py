@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.data import Dataset
 from jaxnarx.exporters import write_files
 from jaxnarx.formatting import count
 from jaxnarx.linear import adapt, export_adaptation
@@ -24,6 +23,8 @@ from jaxnarx.solution import Solution
 
 MODEL_FILE, WINDOWS_FILE = "model.safetensors", "adaptation.csv"
 PAGE_FILE = "report.html"
+NOTHING_LEARNT = "stalled", "unidentifiable"
+"""Statuses of a model that is what it was."""
 
 
 def adapt_model(command: Adapt) -> int:
@@ -43,9 +44,8 @@ def adapt_model(command: Adapt) -> int:
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
         with output.write_together(folder) as place:
             save(found.value, place / MODEL_FILE, about=told)
-            output.write_text(place / WINDOWS_FILE, windows_csv(found, data, method))
-            page = adaptation_page(network, found, _window_time(data, method))
-            output.write_text(place / PAGE_FILE, page)
+            output.write_text(place / WINDOWS_FILE, windows_csv(found))
+            output.write_text(place / PAGE_FILE, adaptation_page(network, found))
             write_files(place, files)
     for line in tell_windows(network, found):
         say(line)
@@ -54,7 +54,7 @@ def adapt_model(command: Adapt) -> int:
     say(f"wrote {', '.join(marks)} to {folder}")
     words = ("jaxnarx", "report", str(folder / MODEL_FILE), "engine.toml")
     tell_next(quote_command(*words, remark="  (to score it on other records)"))
-    return 0
+    return 1 if found.status_name in NOTHING_LEARNT else 0
 
 
 def _method(command: Adapt) -> Recursive:
@@ -64,18 +64,18 @@ def _method(command: Adapt) -> Recursive:
     return Recursive(**typed)
 
 
-def _window_time(data: Dataset, method: Recursive) -> float:
-    return method.window * float(data.sample_time)
-
-
 def tell_windows(network: Network, found: Solution[Network]) -> list[str]:
     """A line for every output, of the last window; then what was passed over."""
     stats, lines = found.stats, []
     for o, (channel, scale) in enumerate(
         zip(network.output_channels, _spread(network), strict=True)
     ):
+        seen = np.flatnonzero(np.isfinite(stats["rmse"][:, o]))
+        if not len(seen):
+            lines.append(f"{channel.name}: nothing was learnt")
+            continue
         now, before, drift = (
-            float(stats[k][-1, o]) for k in ("rmse", "rmse_start", "drift")
+            float(stats[k][seen[-1], o]) for k in ("rmse", "rmse_start", "drift")
         )
         unit = f" {channel.unit}" if channel.unit else ""
         lines.append(
@@ -86,17 +86,17 @@ def tell_windows(network: Network, found: Solution[Network]) -> list[str]:
     outside = int(stats["outside"])
     if outside:
         lines.append(
-            f"{count(outside, 'sample')} outside of the model's domain taught nothing"
+            f"{count(outside, 'sample')} outside of the model's domain: not learnt from"
         )
     return lines
 
 
-def adaptation_page(network: Network, found: Solution[Network], window: float) -> str:
+def adaptation_page(network: Network, found: Solution[Network]) -> str:
     """What was learnt, in sentences and a picture."""
     lines = tell_windows(network, found)
     if found.detail:
         lines.append(f"{found.status_name}: {found.detail}")
-    picture = svg(adaptation_picture(found, window), "adaptation", "Error by window")
+    picture = svg(adaptation_picture(found), "adaptation", "Error by window")
     return plain_page("Adaptation", [*map(paragraph, lines), figure(picture)])
 
 
@@ -106,9 +106,10 @@ def _spread(network: Network) -> np.ndarray:
     return np.where(wide > 0, wide, 1.0)
 
 
-def windows_csv(found: Solution[Network], data: Dataset, method: Recursive) -> str:
+def windows_csv(found: Solution[Network]) -> str:
     """The end of every window, counted through all records, and its errors."""
-    stats, step = found.stats, _window_time(data, method)
+    stats = found.stats
+    step = stats["window"] * float(found.value.sample_time)
     columns: dict[str, Any] = {
         "time [s]": [step * (n + 1) for n in range(len(stats["undone"]))]
     }

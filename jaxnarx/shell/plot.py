@@ -68,11 +68,10 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-def adaptation(found: Solution[Network], data: Dataset, window: int = 100) -> Figure:
-    """Draw what `jnx.linear.adapt` has returned for these records: by windows of so
-    many samples the error, that of the network as it began, and their difference."""
-    step = window * float(data.sample_time)
-    return draw(adaptation_picture(found, step))
+def adaptation(found: Solution[Network]) -> Figure:
+    """Draw what `jnx.linear.adapt` has returned: by windows the error, that of the
+    network as it began, and their difference."""
+    return draw(adaptation_picture(found))
 
 
 def calibrated_map(calibration: Calibration, name: str) -> Figure:

@@ -3,11 +3,13 @@
 import shutil
 import subprocess
 
+import common
 import numpy as np
 import pytest
 import test_targets
 from common import some
 
+import jaxnarx as jnx
 from jaxnarx.exporters import ExportError, export, lower, make_cases
 from jaxnarx.exporters._acados import AcadosLibrary, acados_files, prove_acados
 from jaxnarx.exporters._casadi import casadi_files, without_gaps
@@ -29,6 +31,15 @@ def library_of(net, folder) -> AcadosLibrary:
 def test_it_runs_as_the_network_does(name):
     found = export(test_targets.NETWORKS[name](), to=["acados"], name="m")
     assert not found.left_out and found.difference["acados"] < 1e-11
+
+
+def test_a_network_without_a_past_has_no_state():
+    data = common.dataset()
+    pool = jnx.polynomial_pool(
+        data.channels, outputs=["y"], input_lags=(0,), output_lags=(), degree=2
+    )
+    net = jnx.grow(pool, data, jnx.Global()).value
+    assert export(net, to=["acados"]).difference["acados"] < 1e-11
 
 
 @pytest.mark.parametrize("name", some(KINDS, "filters", "coupled"))

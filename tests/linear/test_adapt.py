@@ -226,3 +226,12 @@ def test_slots_without_a_term_do_not_wind_up(bent):
     theta = np.asarray(found.value.models[0].local.coefficient)
     assert theta[0, 2] == np.asarray(network.models[0].local.coefficient)[0, 2]
     assert found.stats["held"][0] < 0.5 * found.stats["samples"][0]
+
+
+def test_records_of_different_length_make_no_empty_windows(steady):
+    data, network = steady
+    u, y = data.records[0].u[:, 0], data.records[0].y[:, 0]
+    parts = dataset([u[:300], u[300:360]], [y[:300], y[300:360]])
+    found = adapt(network, parts, Recursive(window=50))
+    assert found.stats["rmse"].shape == (8, 1) and found.stats["window"] == 50
+    assert np.all(found.stats["rmse"] > 0)

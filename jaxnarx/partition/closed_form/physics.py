@@ -179,7 +179,8 @@ def solve_signed(
     ridge: float,
     rows: Float[np.ndarray, "pairs columns"],
 ) -> Float[np.ndarray, " columns"]:
-    """The solution of normal equations with `rows @ solution >= 0`.
+    """The solution of normal equations with `rows @ solution >= 0`, but for what active
+    rows give way (`ROW_SLACK`).
 
     They are scaled to a unit diagonal, to which the ridge is added. Rows join as they
     are broken, until none is. LinAlgError where the search for the active ones among

@@ -228,6 +228,8 @@ class Adapt:
     """Local models learn together, or each on its own."""
     window: Annotated[int | None, optional("SAMPLES")] = None
     """Samples after which the error is judged (default 100)."""
+    largest_index: Annotated[float | None, optional("INDEX")] = None
+    """Index of the model's domain up to which samples are learnt from (default 1)."""
     c: Annotated[str | None, optional("NAME")] = None
     """Write NAME.c and NAME_adapt.c: the model as it was, that learns on its unit."""
     force: Flag = False

@@ -7,10 +7,11 @@ from jaxnarx.models import Network
 from jaxnarx.solution import Solution
 
 
-def adaptation_picture(found: Solution[Network], window: float) -> Picture:
+def adaptation_picture(found: Solution[Network]) -> Picture:
     """Every output's error by window, beside that of the model as it began and their
-    difference; windows that were undone are marked. `window` in seconds."""
+    difference; windows that were undone are marked."""
     stats, channels = found.stats, found.value.output_channels
+    window = stats["window"] * float(found.value.sample_time)
     time = window * (1.0 + np.arange(len(stats["undone"])))
     charts = []
     for o, channel in enumerate(channels):

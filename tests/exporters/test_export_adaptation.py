@@ -4,14 +4,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import test_targets
 from adapt_problems import dataset, excitation, one_model, plant, two_models
+from common import some
 
+import jaxnarx as jnx
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.exporters import adaptation_runner, adaptive_files, export, write_files
 from jaxnarx.exporters.compilers import compiler
+from jaxnarx.exporters.proof import make_steps
 from jaxnarx.linear._adapt import adapt
 from jaxnarx.linear._export_adaptation import adaptive_program, export_adaptation
-from jaxnarx.models import total
+from jaxnarx.models import hold_to_range, total
 from jaxnarx.settings import Recursive
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -54,7 +58,10 @@ def test_the_c_learns_what_adapt_learns(changed, settings: dict[str, Any]):
 def test_regions_learn_alone_together_or_some_of_them(settings):
     u = excitation(TIME)
     data = dataset(u, plant(u, np.full(TIME, 0.5), noise=0.02))
-    network = adapt(two_models(data), data).value  # a coefficient of zero is no term
+    network = two_models(data)
+    with pytest.raises(SpecError, match="model 1 of y has 3 coefficients for 0 terms"):
+        export_adaptation(network, data)
+    network = adapt(network, data).value
     found = export_adaptation(network, data, Recursive(**settings))
     assert found.difference["c, adaptation"] < 1e-12
 
@@ -78,8 +85,50 @@ def test_a_million_samples_of_one_level_neither_blow_up_nor_move(changed, tmp_pa
 def test_the_header_states_memory_and_operations(changed):
     network, data = changed
     text = export_adaptation(network, data).texts["model_adapt.h"]
-    # Three coefficients: twice the table, a root of nine, three sums, three errors.
-    assert "24 numbers in memory" in text and "57 multiplications" in text
+    adaptive = adaptive_program(network, Recursive(), "model")
+    # Three coefficients twice, a root of nine, three sums and three errors; lines.
+    lines = sum(line.length for line in adaptive.program.delays)
+    kept = lines + len(adaptive.program.states)
+    assert f"{21 + kept} numbers in memory, and 72 multiplications" in " ".join(
+        text.replace("*", "").split()
+    )
+
+
+KINDS = [
+    *("one model", "by inputs", "by own output", "coupled", "SigmoidTree"),
+    *("LogSigmoids", "spare", "filters", "bounded"),
+]
+
+
+@pytest.mark.parametrize("regressors", ["measured", "simulated"])
+@pytest.mark.parametrize("name", some(KINDS, "coupled", "filters"))
+def test_every_kind_of_network_learns_alike_in_its_domain_and_beyond(name, regressors):
+    network = test_targets.NETWORKS[name]()
+    data = make_steps(network, 400)
+    (record,) = data.records
+    noise = np.random.default_rng(0).normal(size=record.y.shape)
+    run = jnx.simulate(network, data).value.outputs[0]
+    y = np.array(record.y)
+    own = [data.channels.output_names.index(n) for n in network.output_names]
+    y[20:, own] = np.nan_to_num(np.asarray(run))[20:] + 0.3 * noise[20:, own]
+    u = np.array(record.u)
+    u[200:260] *= 1.3  # beyond the domain, and the trained range
+    u[300, 0] = np.nan
+    y[320:325, 0] = np.nan
+    stream = jnx.Dataset.from_arrays(
+        u,
+        y,
+        inputs=data.channels.inputs,
+        outputs=data.channels.outputs,
+        sample_time=data.sample_time,
+        missing="mask",
+    )
+    method = Recursive(regressors=regressors, window=50)
+    beyond = hold_to_range(network)  # goes on to first order there
+    known = jnx.confidence.fit_domain(network, data)
+    for one in (network, beyond, known):
+        found = export_adaptation(one, stream, method)
+        assert found.difference["c, adaptation"] < 1e-9
 
 
 def test_sums_and_short_records_are_refused(changed):
