@@ -6,6 +6,9 @@
 
 from jaxnarx.control._close_loop import close_loop as close_loop
 from jaxnarx.control._mpc import mpc as mpc
+from jaxnarx.control._through_casadi import CasadiController as CasadiController
+from jaxnarx.control._through_casadi import CasadiState as CasadiState
+from jaxnarx.control._through_casadi import through_casadi as through_casadi
 from jaxnarx.control.controller import Controller as Controller
 from jaxnarx.control.controller import ControlState as ControlState
 from jaxnarx.control.controller import Decision as Decision
@@ -15,6 +18,8 @@ from jaxnarx.settings import Command as Command
 from jaxnarx.settings import OutputLimit as OutputLimit
 
 __all__ = [
+    "CasadiController",
+    "CasadiState",
     "Command",
     "ControlState",
     "ControlledRun",
@@ -23,6 +28,7 @@ __all__ = [
     "OutputLimit",
     "close_loop",
     "mpc",
+    "through_casadi",
 ]
 
 document(Command, OutputLimit)

@@ -178,12 +178,12 @@ class Controller(eqx.Module):
         """
         kind = self.low.dtype
         others = np.zeros(0) if given is None else given
-        wanted = _over_horizon(reference, (self.horizon, len(self.targets)), kind)
-        rows = _over_horizon(others, (self.horizon, len(self.given)), kind)
+        wanted = over_horizon(reference, (self.horizon, len(self.targets)), kind)
+        rows = over_horizon(others, (self.horizon, len(self.given)), kind)
         return _step(self, state, jnp.asarray(measured, kind), wanted, rows)
 
 
-def _bounds(
+def command_bounds(
     controller: Controller, before: Float[Array, " commands"]
 ) -> tuple[Float[Array, "blocks commands"], Float[Array, "blocks commands"]]:
     """Bounds of every block; a command that stands beyond its own comes back as fast as
@@ -194,7 +194,7 @@ def _bounds(
     return low, jnp.maximum(controller.high[None], before[None] - reach)
 
 
-def _over_horizon(rows: Values, shape: tuple[int, int], kind: jnp.dtype) -> Array:
+def over_horizon(rows: Values, shape: tuple[int, int], kind: jnp.dtype) -> Array:
     """The rows, or one for all; on the host where they are there."""
     xp = jnp if isinstance(rows, Array) else np
     rows = xp.asarray(rows, kind)
@@ -248,6 +248,21 @@ def _step(
             controller, now, state.slow, before, plan, reference, given
         )
         solved = good & solved
+    return decide(controller, state, now, plan, excess, jnp.asarray(solved), given)
+
+
+def decide(
+    controller: Controller,
+    state: ControlState,
+    now: Estimate,
+    plan: Float[Array, "horizon commands"],
+    excess: Float[Array, " limits"],
+    solved: Bool[Array, ""],
+    given: Float[Array, "horizon given"],
+) -> tuple[ControlState, Decision]:
+    """The next state and the decision, once there is a plan."""
+    network, known = controller.network, controller.statistics
+    how = {"states": controller.observe_states}
     commands = plan[0]
     u = _inputs(controller, commands, given[0])
     y = predict_outputs(controller, now, plan, given)
@@ -261,7 +276,7 @@ def _step(
         y,
         excess,
         now.offset + now.fading,
-        jnp.asarray(solved) & jnp.isfinite(y).all(),
+        solved & jnp.isfinite(y).all(),
     )
     return ControlState(after, u, shifted, slow), decision
 
@@ -360,10 +375,10 @@ def improve(
     own = np.array(controller.bounded, int)
     # The domain's is no limit of an output.
     excess = jnp.where(solved, excess, 0.0)[: len(own)] * controller.size[own]
-    return z[_block_of(controller)] * controller.span[None], excess, solved
+    return z[block_of(controller)] * controller.span[None], excess, solved
 
 
-def _block_of(controller: Controller) -> np.ndarray:
+def block_of(controller: Controller) -> np.ndarray:
     """The block of every sample of the horizon."""
     samples = np.arange(controller.horizon)
     return np.searchsorted(np.array(controller.blocks), samples, side="right") - 1
@@ -377,7 +392,7 @@ def _linearise(
     given: Float[Array, "horizon given"],
 ) -> _Linearised:
     span, size = controller.span[None], controller.size[None]
-    of_block = _block_of(controller)
+    of_block = block_of(controller)
 
     def outputs(z):
         plan = z[of_block] * span
@@ -433,7 +448,7 @@ def _constraints(
     eye = jnp.eye(numbers, dtype=z.dtype)
     reach = jnp.tile(controller.move / span, len(z))
     low, high = (
-        b.ravel() / jnp.tile(span, len(z)) for b in _bounds(controller, before)
+        b.ravel() / jnp.tile(span, len(z)) for b in command_bounds(controller, before)
     )
     hard = jnp.concatenate([eye, -eye, moves.matrix, -moves.matrix])
     hard_bound = jnp.concatenate(

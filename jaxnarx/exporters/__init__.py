@@ -35,6 +35,7 @@ from jaxnarx.exporters.proof import ExportError as ExportError
 from jaxnarx.exporters.proof import make_cases as make_cases
 from jaxnarx.exporters.proof import worst as worst
 from jaxnarx.exporters.readback import read_parameters as read_parameters
+from jaxnarx.exporters.runners import import_page as import_page
 from jaxnarx.exporters.target import Target as Target
 
 __all__ = [

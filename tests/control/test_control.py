@@ -12,7 +12,7 @@ from control_problems import TIME, A, B, linear, shifted, wanted
 from scipy.optimize import minimize
 
 import jaxnarx as jnx
-from jaxnarx.control import Command, OutputLimit, close_loop, mpc
+from jaxnarx.control import Command, OutputLimit, close_loop, mpc, through_casadi
 from jaxnarx.control.controller import (
     LINEAR,
     SQUARE,
@@ -288,3 +288,30 @@ def test_hidden_states_are_estimated():
     run = close_loop(found.value, network, asked, start={"a": 1.0}).value
     error = run.outputs[0][:, 0] - reference
     assert np.abs(error.reshape(3, 25)[:, 12:15]).max() < 0.05
+
+
+def test_a_solver_of_casadi_finds_the_same_commands():
+    """Bounds, rates, a limit that gives way, known references and other inputs: after
+    some rounds our plan is that of IPOPT, sample by sample."""
+    pytest.importorskip("casadi")
+    command = Command(low=-0.8, high=0.8, rate=0.4)
+    limits = {"heat": OutputLimit(at_most=0.15)}
+    ours = mpc(linear(), {"force": command}, ["speed"], limits, horizon=12, rounds=8)
+    theirs = through_casadi(ours.value)
+    state = ours.value.begin([0.0, 0.0], [0.0, 0.0])
+    other = theirs.begin([0.0, 0.0], [0.0, 0.0])
+    random, gave = np.random.default_rng(1), 0.0
+    for t in range(15):
+        known = (
+            0.2 * random.normal(size=2),
+            [0.5 * np.sin(t / 3)],
+            [0.3 * np.cos(t / 4)],
+        )
+        state, found = ours.value.step(state, *known)
+        other, expected = theirs.step(other, *known)
+        assert expected.solved
+        np.testing.assert_allclose(found.commands, expected.commands, atol=1e-4)
+        np.testing.assert_allclose(found.outputs, expected.outputs, atol=1e-4)
+        np.testing.assert_allclose(found.excess, expected.excess, atol=1e-4)
+        gave = max(gave, float(found.excess[0]))
+    assert gave > 0.01
