@@ -175,10 +175,6 @@ def random_drive(
     of real driving emissions, not one that its trip requirements would accept:
     Regulation (EU) 2017/1151, annex IIIA, section 6 (speeds of 60 and 90 km/h part the
     roads; about a third of the distance each).
-
-    Example:
-        key = jax.random.key(0)
-        speed = jnx.excitation.random_drive(key, sample_time=0.1, duration=600)
     """
     step, end = positive(sample_time, "sample_time"), positive(duration, "duration")
     if len(shares) != 3 or min(shares) < 0 or sum(shares) <= 0:

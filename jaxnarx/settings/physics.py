@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from jaxnarx.checks import require, require_known
+from jaxnarx.formatting import page
 from jaxnarx.settings.fields import settings
 
 
@@ -44,6 +45,8 @@ class Physics:
         return dict.fromkeys(self.increases_with, 1) | dict.fromkeys(
             self.decreases_with, -1
         )
+
+    _repr_html_ = page
 
     def __str__(self) -> str:
         """`rises with a, b and falls with c`."""

@@ -12,6 +12,7 @@ import jaxnarx as jnx
 from jaxnarx.errors import SpecError
 from jaxnarx.exporters import ExportError, export, lower, runners
 from jaxnarx.exporters.causes import cause
+from jaxnarx.exporters.compilers import WARNING_FLAGS
 from jaxnarx.shell.cli import run
 
 pytestmark = needs_compiler
@@ -30,7 +31,7 @@ def compiled(files, place: Path, *flags: str) -> str:
             (place / name).write_text(text)
     words = [
         runners.compiler(),
-        *runners.WARNING_FLAGS,
+        *WARNING_FLAGS,
         *flags,
         "-c",
         place / "m.c",

@@ -22,6 +22,7 @@ from jaxnarx.data.batch import stack_records
 from jaxnarx.errors import SpecError
 from jaxnarx.exporters import ExportError, Instance, export, lower, proof, runners
 from jaxnarx.exporters._export import TARGETS, make_golden
+from jaxnarx.exporters.compilers import WARNING_FLAGS
 from jaxnarx.exporters.maps import choose_axes
 from jaxnarx.exporters.proof import Case, make_cases
 from jaxnarx.exporters.runners import c_runner
@@ -336,7 +337,7 @@ def test_c_has_no_heap_and_says_what_its_inputs_are(tmp_path, outside):
     checked = [
         "-fsanitize=address,undefined",
         "-fno-sanitize-recover",
-        *runners.WARNING_FLAGS,
+        *WARNING_FLAGS,
     ]
     both = [tmp_path / "NOx_model.c", tmp_path / "NOx_model_selftest.c"]
     for extra in ([], ["-DNOX_MODEL_SINGLE"]):
