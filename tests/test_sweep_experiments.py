@@ -183,3 +183,12 @@ def test_signs_of_gains_on_a_tenth_of_the_records(tmp_path, measured):
     (row,) = figures["rows"]
     assert row["output"] == "T_exhaust" and row["with"]["wrong gains"] == 0
     assert row["with"]["known gains"] == 30 and figures["summary"]["no wrong gain"]
+
+
+@pytest.mark.slow
+def test_a_network_follows_an_engine_that_has_changed(tmp_path):
+    experiment("control/adaptation.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "adaptation.json").read_text())["figures"]
+    assert figures["c"]["local"]["difference of coefficients"] < 1e-9
+    assert figures["c"]["regions"] == 10
+    assert 0 < figures["summary"]["vct"]["adapted"]["NOx"] < 1.0
