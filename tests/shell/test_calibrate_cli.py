@@ -65,6 +65,10 @@ def test_maps_are_optimised_and_written(jaxnarx, place):
     (block,) = read_dcm((place / "done" / "maps.dcm").read_text(), "maps.dcm")
     assert block.kind == "KENNLINIE" and block.name == "c"
     np.testing.assert_array_equal(block.values, value)
+    reader = pytest.importorskip("dcmReader.dcm_reader").DcmReader()
+    reader.read(str(place / "done" / "maps.dcm"), file_encoding="iso-8859-1")
+    (curve,) = reader.get_characteristic_lines()
+    assert curve.name == "c" and list(curve.values.values()) == pytest.approx(value)
     page = (place / "done" / "report.html").read_text()
     assert "<script" not in page and "Which points matter" in page
     assert not (place / "done" / "state").exists()
