@@ -72,7 +72,7 @@ class StateProgram:
             bare,
             after,
             _slopes(b, after, sources),
-            _slopes(b, _slopes(b, [total], sources)[0], sources),
+            _curvature(b, total, sources),
             _slopes(b, bare.outputs, sources),
         )
         whole = dataclasses.replace(bare, ops=tuple(b.ops))
@@ -91,6 +91,18 @@ def _slopes(
         slope = dict(zip(every, gradient(b, value, every), strict=True))
         rows.append(tuple(b.add(*(slope[n] for n in own)) for own in places))
     return tuple(rows)
+
+
+def _curvature(
+    b: Builder, value: Value, sources: Sequence[Op]
+) -> tuple[tuple[Value, ...], ...]:
+    """The Hessian; what is below the diagonal is the same as above it."""
+    slopes = _slopes(b, [value], sources)[0]
+    upper = [_slopes(b, [one], sources[k:])[0] for k, one in enumerate(slopes)]
+    count = len(sources)
+    return tuple(
+        tuple(upper[min(i, j)][abs(i - j)] for j in range(count)) for i in range(count)
+    )
 
 
 def _next_lines(program: SampleProgram, b: Builder) -> Iterator[Value]:
@@ -151,6 +163,7 @@ def _source(form: StateProgram) -> str:
         " */",
         "#include <math.h>",
         "#include <stddef.h>",
+        "#include <string.h>",
         "",
         f"#define {name}_real double",
         f"#define {upper}_EXP(a) exp(a)",
@@ -251,12 +264,15 @@ def _function(
         "    (void)w;",
         "    (void)mem;",
     ]
+    zero = program.ops.index(Op("const", source=0.0))
     for n, (values, _) in enumerate(gives):
         lines += [
             f"    if (res[{n}] != NULL) {{",
+            f"        memset(res[{n}], 0, {len(values)} * sizeof(double));",
             *(
                 f"        res[{n}][{k}] = {value_text(program, value, syntax)};"
                 for k, value in enumerate(values)
+                if value != zero
             ),
             "    }",
         ]
