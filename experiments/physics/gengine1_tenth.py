@@ -74,7 +74,7 @@ def row_of(
     scores: dict[str, Any],
     points: int,
 ) -> dict[str, Any]:
-    """What was chosen for an output with signs and without, and what came."""
+    """Compare what was chosen for an output with signs and without, and its errors."""
     physics, reason = SIGNS[name]
     out: dict[str, Any] = {"output": name, "asked": str(physics), "reason": reason}
     for how, fit in fits.items():

@@ -1,8 +1,8 @@
 """The problem of a controller handed to a solver of CasADi, such as IPOPT.
 
-What is minimised is that of `jaxnarx.control.controller`, over the same blocks of
-commands, with the errors that the same observer expects; solved to the end in every
-sample, with exact second derivatives, by single shooting through the functions that
+The solver minimises the cost of `jaxnarx.control.controller` over the same blocks of
+commands, with the errors that the same observer expects. Every sample is solved to the
+end, with exact second derivatives, by single shooting through the functions that
 `jnx.export(network, to=["casadi"])` writes.
 """
 
@@ -35,8 +35,10 @@ from jaxnarx.errors import SpecError
 from jaxnarx.exporters import export, import_page
 from jaxnarx.files import TemporaryFolder
 
-SILENT = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
-"""Options of IPOPT."""
+SILENT: dict[str, dict[str, Any]] = {
+    "ipopt": {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+}
+"""Options by solver, so that none writes."""
 
 
 class CasadiState(NamedTuple):
@@ -62,7 +64,7 @@ def through_casadi(
     Args:
         controller: What is to be solved; of a network without hidden states.
         solver: Name of a solver of nonlinear programs that CasADi has.
-        options: Its options; default: IPOPT, silent.
+        options: Its options; by default IPOPT is silent, and others have their own.
 
     Returns:
         A controller with the same `begin` and `step`, on the host.
@@ -86,7 +88,8 @@ def through_casadi(
             "make it with observe_states=False, of a network without hidden states",
             field="controller",
         )
-    return CasadiController(controller, solver, SILENT if options is None else options)
+    chosen = SILENT.get(solver, {}) if options is None else options
+    return CasadiController(controller, solver, chosen)
 
 
 class CasadiController:
@@ -174,7 +177,7 @@ class CasadiController:
         reference: Values,
         given: Values | None = None,
     ) -> tuple[CasadiState, Decision]:
-        """What to set now; as `Controller.step`."""
+        """Decide what to set now; as `Controller.step`."""
         own, control = self.controller, state.control
         kind = own.low.dtype
         others = np.zeros(0) if given is None else given

@@ -124,7 +124,7 @@ class Controller(eqx.Module):
 
     @property
     def command_names(self) -> list[str]:
-        """What the controller sets."""
+        """Names of the inputs that the controller sets."""
         return [self.input_names[c] for c in self.commands]
 
     @property
@@ -164,7 +164,7 @@ class Controller(eqx.Module):
         reference: Values,
         given: Values | None = None,
     ) -> tuple[ControlState, Decision]:
-        """What to set now.
+        """Decide what to set now.
 
         Args:
             state: From `begin`, or from the sample before.

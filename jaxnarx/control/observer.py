@@ -1,4 +1,4 @@
-"""What a plant is like now: errors of the outputs, and states, from measurements.
+"""An observer: errors of a plant's outputs, and its states, from measurements.
 
     x(t+1) = f(x(t), u(t)) + w(t),   b(t+1) = b(t) + q(t),   e(t+1) = p e(t) + v(t),
     measured(t) = h(x(t), u(t-1)) + b(t) + e(t) + n(t),

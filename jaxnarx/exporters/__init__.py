@@ -7,9 +7,7 @@ from jaxnarx.exporters._export import make_golden as make_golden
 from jaxnarx.exporters._export import write_files as write_files
 from jaxnarx.exporters._javascript import javascript as javascript
 from jaxnarx.exporters._lower import lower as lower
-from jaxnarx.exporters.c_adapt import AdaptationRunner as AdaptationRunner
 from jaxnarx.exporters.c_adapt import AdaptiveProgram as AdaptiveProgram
-from jaxnarx.exporters.c_adapt import adaptation_runner as adaptation_runner
 from jaxnarx.exporters.c_adapt import adaptive_files as adaptive_files
 from jaxnarx.exporters.calibration import map_of as map_of
 from jaxnarx.exporters.calibration import read_dcm as read_dcm
@@ -35,6 +33,8 @@ from jaxnarx.exporters.proof import ExportError as ExportError
 from jaxnarx.exporters.proof import make_cases as make_cases
 from jaxnarx.exporters.proof import worst as worst
 from jaxnarx.exporters.readback import read_parameters as read_parameters
+from jaxnarx.exporters.runners import AdaptationRunner as AdaptationRunner
+from jaxnarx.exporters.runners import adaptation_runner as adaptation_runner
 from jaxnarx.exporters.runners import import_page as import_page
 from jaxnarx.exporters.target import Target as Target
 

@@ -6,19 +6,13 @@ local model forgets in proportion to its weight, and windows that make the error
 are undone.
 """
 
-import ctypes
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import resources
-from pathlib import Path
-
-import numpy as np
-from jaxtyping import Float
 
 from jaxnarx.exporters.c99 import REFUSED_FLAGS, c_syntax, store_lines, told_lines
 from jaxnarx.exporters.code import Syntax, statements, value_text
-from jaxnarx.exporters.compilers import load_library
 from jaxnarx.exporters.form import INDEX_FLAG, LearntOutput, SampleProgram, Value
 from jaxnarx.exporters.notes import wrap_paragraphs
 from jaxnarx.exporters.target import Files
@@ -26,13 +20,6 @@ from jaxnarx.settings import LEAST_WINDOW_ERROR, Recursive
 
 SIMULATED, MEASURED, NONE = "simulated", "measured", "none"
 """Past outputs that enter a model: its own, measured ones, or none."""
-
-AdaptationRunner = Callable[
-    [Float[np.ndarray, "time inputs"], Float[np.ndarray, "time computed"]],
-    Float[np.ndarray, " coefficients"],
-]
-"""A function that learns from inputs and measured outputs, and gives the coefficients
-at the end, output by output."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -418,47 +405,3 @@ def _learn(part: LearntTerms, o: int, adaptive: AdaptiveProgram) -> list[str]:
         "        }",
         "    }",
     ]
-
-
-def adaptation_runner(folder: Path, adaptive: AdaptiveProgram) -> AdaptationRunner:
-    """The files of `folder`, compiled there."""
-    program = adaptive.program
-    name, upper = program.name, program.name.upper()
-    sizes = [program.table(p.table).values.size for p in adaptive.parts]
-    copies, at = [], 0
-    for part, size in zip(adaptive.parts, sizes, strict=True):
-        copies.append(f"for (k = 0; k < {size}; k++)")
-        copies.append(f"    theta[{at} + k] = a.{part.table}[k];")
-        at += size
-    page = _HARNESS.replace("NAME", name).replace("UPPER", upper)
-    harness = folder / "adapt_harness.c"
-    harness.write_text(page.replace("COPIES", "\n    ".join(copies)))
-    sources = [folder / f"{name}.c", folder / f"{name}_adapt.c", harness]
-    call = load_library(sources, folder / f"{name}_adapt.so").run
-
-    def run(inputs, measured):
-        u, y = (np.ascontiguousarray(x, float) for x in (inputs, measured))
-        theta = np.zeros(at)
-        pointers = (x.ctypes.data_as(ctypes.c_void_p) for x in (u, y, theta))
-        call(ctypes.c_int(len(u)), *pointers)
-        return theta
-
-    return run
-
-
-_HARNESS = """#include "NAME_adapt.h"
-void run(int n, const double *u, const double *y, double *theta);
-void run(int n, const double *u, const double *y, double *theta)
-{
-    NAME_state s;
-    NAME_adaptation a;
-    NAME_out out;
-    int t, k;
-    NAME_begin(&s, u, y);
-    NAME_adapt_begin(&a, &s);
-    for (t = 0; t < n; t++) {
-        NAME_adapt(&a, &u[t * UPPER_INPUTS], &y[t * UPPER_COMPUTED], &out);
-    }
-    COPIES
-}
-"""

@@ -5,13 +5,15 @@ import importlib.util
 import json
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxnarx.exporters import form
+from jaxnarx.exporters.c_adapt import AdaptiveProgram
 from jaxnarx.exporters.compilers import compiler, compilers, load_library
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.proof import (
@@ -25,6 +27,13 @@ from jaxnarx.exporters.proof import (
 )
 from jaxnarx.exporters.target import Proof
 from jaxnarx.files import TemporaryFolder
+
+AdaptationRunner = Callable[
+    [Float[np.ndarray, "time inputs"], Float[np.ndarray, "time computed"]],
+    Float[np.ndarray, " coefficients"],
+]
+"""A function that learns from inputs and measured outputs, and gives the coefficients
+at the end, output by output."""
 
 
 def import_page(path: Path) -> Any:
@@ -195,3 +204,47 @@ def prove_c(program: SampleProgram, folder: Path, cases: Sequence[Case]) -> Proo
                     raise SinglePrecisionError(str(error)) from error
                 raise
     return found, []
+
+
+def adaptation_runner(folder: Path, adaptive: AdaptiveProgram) -> AdaptationRunner:
+    """The files of `folder`, compiled there."""
+    program = adaptive.program
+    name, upper = program.name, program.name.upper()
+    sizes = [program.table(p.table).values.size for p in adaptive.parts]
+    copies, at = [], 0
+    for part, size in zip(adaptive.parts, sizes, strict=True):
+        copies.append(f"for (k = 0; k < {size}; k++)")
+        copies.append(f"    theta[{at} + k] = a.{part.table}[k];")
+        at += size
+    page = _LEARNING_PAGE.replace("NAME", name).replace("UPPER", upper)
+    harness = folder / "adapt_harness.c"
+    harness.write_text(page.replace("COPIES", "\n    ".join(copies)))
+    sources = [folder / f"{name}.c", folder / f"{name}_adapt.c", harness]
+    call = load_library(sources, folder / f"{name}_adapt.so").run
+
+    def run(inputs, measured):
+        u, y = (np.ascontiguousarray(x, float) for x in (inputs, measured))
+        theta = np.zeros(at)
+        pointers = (x.ctypes.data_as(ctypes.c_void_p) for x in (u, y, theta))
+        call(ctypes.c_int(len(u)), *pointers)
+        return theta
+
+    return run
+
+
+_LEARNING_PAGE = """#include "NAME_adapt.h"
+void run(int n, const double *u, const double *y, double *theta);
+void run(int n, const double *u, const double *y, double *theta)
+{
+    NAME_state s;
+    NAME_adaptation a;
+    NAME_out out;
+    int t, k;
+    NAME_begin(&s, u, y);
+    NAME_adapt_begin(&a, &s);
+    for (t = 0; t < n; t++) {
+        NAME_adapt(&a, &u[t * UPPER_INPUTS], &y[t * UPPER_COMPUTED], &out);
+    }
+    COPIES
+}
+"""

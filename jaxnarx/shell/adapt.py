@@ -68,7 +68,7 @@ def tell_windows(network: Network, found: Solution[Network]) -> list[str]:
     """A line for every output, of the last window; then what was passed over."""
     stats, lines = found.stats, []
     for o, (channel, scale) in enumerate(
-        zip(network.output_channels, _spread(network), strict=True)
+        zip(network.output_channels, _trained_widths(network), strict=True)
     ):
         seen = np.flatnonzero(np.isfinite(stats["rmse"][:, o]))
         if not len(seen):
@@ -100,7 +100,7 @@ def adaptation_page(network: Network, found: Solution[Network]) -> str:
     return plain_page("Adaptation", [*map(paragraph, lines), figure(picture)])
 
 
-def _spread(network: Network) -> np.ndarray:
+def _trained_widths(network: Network) -> np.ndarray:
     own = np.array(network.signals)[: len(network.modelled)]
     wide = np.asarray(network.high, float)[own] - np.asarray(network.low, float)[own]
     return np.where(wide > 0, wide, 1.0)

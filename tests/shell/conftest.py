@@ -2,9 +2,12 @@
 
 import dataclasses
 import pickle
+import shlex
 from typing import Any
 
 import pytest
+
+from jaxnarx.shell.cli import run
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -76,3 +79,15 @@ def remembered():
         for user in ("shell.identify", "shell.search.folder", "evaluation"):
             patch.setattr(f"jaxnarx.{user}.report", score)
         yield fits
+
+
+@pytest.fixture
+def typed(capsys):
+    """A command line that is run: its exit code, and what it says on both streams."""
+
+    def typed(command: str, line: str):
+        code = run([command, *shlex.split(line)])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return typed

@@ -1,13 +1,12 @@
 """`jaxnarx adapt`: what is written and said, and what is wrong with files."""
 
-import shlex
+import functools
 
 import numpy as np
 import pytest
 from adapt_problems import dataset, excitation, one_model, plant
 
 import jaxnarx as jnx
-from jaxnarx.shell.cli import run
 from jaxnarx.shell.record_files import record_csv
 
 TIME = 600
@@ -28,13 +27,8 @@ def place(tmp_path_factory):
 
 
 @pytest.fixture
-def jaxnarx(place, capsys):
-    def jaxnarx(line: str):
-        code = run(["adapt", *shlex.split(line)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return jaxnarx
+def jaxnarx(place, typed):
+    return functools.partial(typed, "adapt")
 
 
 def test_the_model_follows_and_its_windows_are_told(jaxnarx, place):

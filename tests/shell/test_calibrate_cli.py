@@ -1,7 +1,7 @@
 """`jaxnarx calibrate`: maps from files, and what is wrong with these."""
 
+import functools
 import json
-import shlex
 
 import numpy as np
 import pytest
@@ -13,7 +13,6 @@ from jaxnarx.errors import DataFileError, SpecError
 from jaxnarx.exporters import map_lines
 from jaxnarx.exporters.calibration import read_dcm
 from jaxnarx.shell.calibrate import read_task
-from jaxnarx.shell.cli import run
 
 STARTED = np.array([0.1, 0.2, 0.3])
 
@@ -46,13 +45,8 @@ def place(tmp_path_factory):
 
 
 @pytest.fixture
-def jaxnarx(place, capsys):
-    def jaxnarx(line: str):
-        code = run(["calibrate", *shlex.split(line)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return jaxnarx
+def jaxnarx(place, typed):
+    return functools.partial(typed, "calibrate")
 
 
 def test_maps_are_optimised_and_written(jaxnarx, place):

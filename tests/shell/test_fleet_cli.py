@@ -1,7 +1,7 @@
 """`jaxnarx fleet`: learn from files, calibrate, report; what is wrong with either."""
 
+import functools
 import json
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -60,13 +60,8 @@ def place(tmp_path_factory):
 
 
 @pytest.fixture
-def jaxnarx(place, capsys):
-    def jaxnarx(line: str):
-        code = run(["fleet", *shlex.split(line)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return jaxnarx
+def jaxnarx(place, typed):
+    return functools.partial(typed, "fleet")
 
 
 def test_a_fleet_is_learnt_told_and_used(jaxnarx, place):

@@ -1,7 +1,7 @@
 """`jaxnarx sweep`: description, run folder, exit codes."""
 
 import csv
-import shlex
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ import pytest
 from sweep_toys import BED
 
 from jaxnarx.errors import DataFileError
-from jaxnarx.shell.cli import run
 from jaxnarx.shell.sweep import run as command
 from jaxnarx.shell.sweep.description import Measured, Relatives, load_sweep
 from jaxnarx.sweep import IdentificationWork, read_sweep
@@ -27,13 +26,8 @@ def place(tmp_path_factory):
 
 
 @pytest.fixture
-def jaxnarx(place, capsys):
-    def jaxnarx(line: str):
-        code = run(["sweep", *shlex.split(line)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return jaxnarx
+def jaxnarx(place, typed):
+    return functools.partial(typed, "sweep")
 
 
 def toy_row(self, n):
