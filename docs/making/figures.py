@@ -4,15 +4,20 @@ No figure is typed: each table says which file it comes from, when that was made
 what machine, and from which commit.
 """
 
-import json
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-RESULTS = EXPERIMENTS / "benchmarks" / "results"
-CALIBRATED = "vct", "pfi", "gtdi", "diesel"
-"""Beds of calibration."""
+from markdown_tables import (
+    EXPERIMENTS,
+    RESULTS,
+    give_or_take,
+    loaded,
+    number,
+    source,
+    table,
+)
+from uses import CALIBRATED, adaptation, calibration, control
+
 ELSEWHERE = (
     *(f"calibration_{bed}" for bed in CALIBRATED),
     "calibration_robust",
@@ -55,45 +60,6 @@ def made() -> dict[str, str]:
         "_refinement.md": refinement,
     }
     return {name: part() for name, part in parts.items()}
-
-
-def loaded(path: Path) -> dict[str, Any]:
-    """A recorded result."""
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
-def source(path: Path) -> str:
-    """Where figures come from, as a line under their table."""
-    content = loaded(path)
-    machine, code = content["machine"], content.get("code") or {}
-    commit = str(code.get("commit") or "unknown")[:7]
-    dirty = " with changes" if code.get("dirty") else ""
-    return (
-        f"*`{path.relative_to(EXPERIMENTS.parent)}`, {content['date'][:10]}, "
-        f"{machine['cpu']}, {machine['cores']} cores, commit {commit}{dirty}; "
-        f"`{content['command']}`.*\n"
-    )
-
-
-def table(head: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table; the first column holds words, the others figures."""
-    lines = [head, ["---", *["--:"] * (len(head) - 1)], *rows]
-    escaped = [[cell.replace("|", r"\|") for cell in line] for line in lines]
-    return "".join("| " + " | ".join(line) + " |\n" for line in escaped) + "\n"
-
-
-def number(value: Any, digits: int = 3) -> str:
-    """A figure as it is read, `-` where there is none."""
-    if value is None:
-        return "–"
-    if isinstance(value, int) or abs(value) >= 1e6:
-        return f"{value:,.0f}"
-    return f"{value:.{digits}g}" if abs(value) < 1000 else f"{value:,.0f}"
-
-
-def give_or_take(*figures: str) -> str:
-    """A figure and its uncertainty, which stay on one line."""
-    return "\u00a0±\u00a0".join(figures)
 
 
 # Performance ----------------------------------------------------------------------
@@ -205,114 +171,6 @@ def public() -> str:
             rows.append([name, *map(number, found), best])
     head = ["set, part [unit]", *columns, "published, best found"]
     return table(head, rows) + source(path)
-
-
-CONTROLLED = {
-    "engine": "the engine of the records",
-    "without preview": "the same, references known as they come",
-    "sisters": "engines with other parameters",
-    "sisters, constant": "these, at the end of constant references",
-}
-
-
-def control() -> str:
-    """Virtual engines steered by networks of their records, and what a step takes."""
-    tracked = ""
-    for stem, models in TRACKED.items():
-        path, rows = RESULTS / f"{stem}.json", []
-        for title, told in loaded(path)["figures"]["summary"].items():
-            at = next((k for k in CONTROLLED if title.endswith(f", {k}")), None)
-            if at is None:
-                continue
-            for name, value in told.items():
-                left = name.endswith(", left")
-                if name in SILENT_OF_CONTROL or left != (at == "sisters, constant"):
-                    continue
-                cells = number(value["median"]), number(value["worst"])
-                task = title.removesuffix(f", {at}")
-                rows.append([task, CONTROLLED[at], name.removesuffix(", left"), *cells])
-        head = [f"bed and commands, {models}", "steered", "target", "median", "worst"]
-        tracked += table(head, rows) + source(path) + "\n"
-    speed = RESULTS / "control_speed.json"
-    timed = loaded(speed)["figures"]
-    times = [[name, number(v)] for name, v in timed.items() if isinstance(v, float)]
-    return tracked + table(["a sample", ""], times) + source(speed)
-
-
-def calibration() -> str:
-    """Maps optimised through models, and what the engines made of them; then maps for
-    a fleet."""
-    told = []
-    head = ["way", "promised", "realised", "missed", "at worst", "broken", "kept"]
-    head += ["another cycle", "broken there"]
-    for bed in CALIBRATED:
-        path, rows = RESULTS / f"calibration_{bed}.json", []
-        figures = loaded(path)["figures"]
-        for way, one in figures["summary"].items():
-            here, there = one["cycle"], one["another"]
-            promised = one["objective, promised"]
-            rows.append(
-                [
-                    way,
-                    number(sorted(promised)[len(promised) // 2]),
-                    number(here["objective, median"]),
-                    number(100 * here["promise missed by, median"], 2),
-                    number(100 * here["promise missed by, worst"], 2),
-                    number(100 * max(here["limit broken by, worst"], 0.0), 2),
-                    f"{here['limits kept to a percent']} of {len(promised)}",
-                    number(there["objective, median"]),
-                    number(100 * max(there["limit broken by, worst"], 0.0), 2),
-                ]
-            )
-        told.append(f"### {bed}\n\n{table(head, rows)}{source(path)}")
-    path = RESULTS / "calibration_robust.json"
-    fleet = loaded(path)["figures"]["summary"]
-    names = list(next(iter(fleet.values())))
-    rows = [[title, *(number(one[n]) for n in names)] for title, one in fleet.items()]
-    shares = table(["bed, way, cycle", *names], rows)
-    return "\n".join([*told, f"### Fleets\n\n{shares}{source(path)}"])
-
-
-def adaptation() -> str:
-    """Free-run errors before and after adaptation, and what it takes in C."""
-    path = RESULTS / "adaptation.json"
-    told, rows = loaded(path)["figures"], []
-    for bed, ways in told["summary"].items():
-        for output in ways["as it was"]:
-            cells = (number(ways[w][output]) for w in ADAPTED)
-            rows.append([bed, output, *cells])
-    tables = table(["engine", "output", *ADAPTED], rows) + source(path)
-    ratios = [
-        [bed, title.removeprefix("ratio to "), *_ratio(one)]
-        for bed, ways in told["summary"].items()
-        for title, one in ways.items()
-        if title.startswith("ratio")
-    ]
-    head = ["engine", "error over that of", "median", "worst", "at most 1.2"]
-    tables += "\n" + table(head, ratios) + source(path)
-    timed = [
-        [way, *(number(v) for v in one.values())]
-        for way, one in told["c"].items()
-        if isinstance(one, dict)
-    ]
-    names = next(one for one in told["c"].values() if isinstance(one, dict))
-    return tables + "\n" + table(["in C", *names], timed) + source(path)
-
-
-ADAPTED = "as it was", "adapted", "refit of the minute", "identified anew"
-
-
-def _ratio(told: dict[str, Any]) -> list[str]:
-    return [number(told["median"]), number(told["worst"]), told["at most 1.2"]]
-
-
-TRACKED = {
-    "control_tracking": "model of second degree",
-    "control_tracking_identified": "model of the search",
-}
-"""Results of tracking, and the models that steered."""
-SILENT_OF_CONTROL = ("seconds", "largest excess")
-"""Figures that the table leaves out."""
 
 
 def recovery() -> str:

@@ -3,7 +3,7 @@
 import ast
 
 from docstrings import markdown
-from figures import EXPERIMENTS
+from markdown_tables import EXPERIMENTS
 
 FOLDER = EXPERIMENTS / "thesis"
 CHAPTERS = (
