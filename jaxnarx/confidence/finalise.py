@@ -8,12 +8,12 @@ from jaxnarx.confidence.error_model import fit_error_model
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError
 from jaxnarx.models import FLAG, LINEAR, Network, hold_to_range, set_bounds
-from jaxnarx.refinement import attach_certificate
+from jaxnarx.refinement import attach_certificate, stays_bounded
 
 CERTIFIED_BOUND_WIDTHS = 1e6
-"""Bounds of the feedback of a network with a certificate, in widths of the range: such
-a network runs away from nothing, however far its polynomials reach where inputs come
-together as they never did (100 widths and more on a measured engine)."""
+"""Bounds of the feedback of a network whose runs are proven bounded, in widths of the
+range: such a network runs away from nothing, however far its polynomials reach where
+inputs come together as they never did (100 widths and more on a measured engine)."""
 
 
 def attach_domain_and_intervals(
@@ -41,16 +41,17 @@ def attach_domain_and_intervals(
 def apply_release_limits(network: Network) -> Network:
     """The network with limits that let it follow inputs beyond their ranges.
 
-    A model that is stable for every input needs no bound of its feedback: the bounds of
-    a network with a certificate are wide, and inputs are taken as they are where it
-    holds for such inputs too. Others go on from the edge of their ranges to first
+    A model whose runs are proven to stay bounded for every input needs no bound of its
+    feedback: the bounds of such a network, with a certificate or with sigmoid gates
+    beside a stable linear model, are wide, and inputs are taken as they are where the
+    proof holds for such inputs too. Others go on from the edge of their ranges to first
     order. On virtual engines driven up to 2.5 times the trained ranges plain inputs had
     the smallest error on most outputs, and held ones the largest (`experiments/edge`).
     """
     margin = None if network.hold is None else float(network.hold)
     for outside in (FLAG, LINEAR):
         network = attach_certificate(hold_to_range(network, margin, outside=outside))
-        if network.certificate is not None:
+        if network.certificate is not None or stays_bounded(network):
             break
     else:
         return network

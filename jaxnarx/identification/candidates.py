@@ -42,7 +42,7 @@ from jaxnarx.partition import (
     best_sum,
     make_pairs,
 )
-from jaxnarx.refinement import largest_local_pole
+from jaxnarx.refinement import largest_local_pole, stays_bounded
 from jaxnarx.settings import (
     HiddenStates,
     Identification,
@@ -568,6 +568,7 @@ class CandidateSearch:
             parameters=None if price is None else price.parameters,
             seconds=round(seconds, 2),
             pole=None if network is None else largest_local_pole(network),
+            bounded=None if network is None else stays_bounded(network),
             status="skipped" if network is None else "ok",
             detail=detail,
         )

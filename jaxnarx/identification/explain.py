@@ -37,7 +37,10 @@ DOMINANT_WORDS = (
     "the loss"
 )
 """... where groups disagree."""
-NONE_NEAR = {"near": "none within its standard error", "share": "none within 5 %"}
+NONE_NEAR = {
+    "near": "none within its standard error is as safe and cheaper",
+    "share": "none within 5 % is as safe and cheaper",
+}
 
 
 def is_linear(row: Candidate) -> bool:
@@ -99,7 +102,8 @@ def sentences(board: Leaderboard, output: str, taken: int | None = None) -> list
     """Why this one, what others would cost, and which records it serves worst."""
     row = candidate_in_use(board, output, taken)
     told = [_choice(board, output, row)]
-    told += [*_physics(row), *_best(board, row), *_others(board, row)]
+    told += [*_proven(row), *_physics(row)]
+    told += [*_best(board, row), *_others(board, row)]
     told += [*_linear(board, row), *_explain_vetoes(board, output)]
     told += [*_explain_signs(board, output), *_groups(board, row)]
     return told
@@ -153,7 +157,7 @@ def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
     if board.rule == "near" and board.dominant_group(output):
         return f"{told}: {DOMINANT_WORDS}."
     if row == board.best(output) and board.rule in NONE_NEAR:
-        return f"{told}: the best, and {NONE_NEAR[board.rule]} is cheaper."
+        return f"{told}: the best, and {NONE_NEAR[board.rule]}."
     return (
         f"{told}: {RULE_WORDS.get(board.rule, f'chosen by the rule {board.rule!r}')}."
     )
@@ -164,6 +168,12 @@ def _nested(row: Candidate) -> str:
     if row.nested is None:
         return ""
     return f" (nested {ratio_text(row.nested)}: made again without every group)"
+
+
+def _proven(row: Candidate) -> list[str]:
+    """That nothing makes it run away, where that is proven."""
+    told = "Its runs are proven to stay bounded while its inputs are; among equals such"
+    return [f"{told} candidates come first."] if row.bounded else []
 
 
 def _physics(row: Candidate) -> list[str]:

@@ -78,6 +78,8 @@ class Candidate:
     pole: float | None = None
     """Largest modulus of a local model's poles; from 1 on it does not forget its past,
     and rounding in single precision adds up."""
+    bounded: bool | None = None
+    """Whether every run is proven to stay bounded while its inputs are."""
     unconstrained: float | None = None
     """`free_run` of the same candidate without the signs of physics, where these are
     constraints of its least squares."""
@@ -146,9 +148,10 @@ class Leaderboard:
     """`near`: the cheapest to compute within one standard error of the best (that of
     the difference, group by group) and 5 %; `share`: within 5 % of it; `best`. Among
     those a candidate whose local models forget their past comes before one whose do
-    not. Where one of three groups or more has over half of the loss, `near` are those
-    within one standard error of the best whose geometric mean over groups is within 5 %
-    of the least: the pooled error would be that group's alone. Of that candidate and
+    not, and one whose runs are proven bounded before one that might run away. Where one
+    of three groups or more has over half of the loss, `near` are those within one
+    standard error of the best whose geometric mean over groups is within 5 % of the
+    least: the pooled error would be that group's alone. Of that candidate and
     of cheaper ones that were made again without every group too (`nested`), the
     smallest nested error decides. Candidates whose nested error is far larger than what
     they promise (`keeps_promise`) come last, unless it is the smallest of all."""
@@ -208,7 +211,7 @@ class Leaderboard:
             near = _near_in_every_group(rows, best)
         else:
             near = [r for r in rows if _is_near(r, best)]
-        near = [r for r in near if r.forgets] or near
+        near = _safest(near)
         chosen = min(near, key=lambda r: (_cost(r), _error(r)))
         return _least_nested(chosen, rows)
 
@@ -224,7 +227,7 @@ class Leaderboard:
             return None
         rows = self._fine(output)
         near = [r for r in rows if _is_equal(r, best)]
-        near = [r for r in near if r.forgets] or near
+        near = _safest(near)
         return min(near, key=lambda r: (_cost(r), _error(r)))
 
     def _fine(self, output: str) -> list[Candidate]:
@@ -327,6 +330,13 @@ def _error(row: Candidate) -> float:
 
 def _cost(row: Candidate) -> float:
     return math.inf if row.operations is None else float(row.operations)
+
+
+def _safest(rows: list[Candidate]) -> list[Candidate]:
+    """Those that forget their past, and of these those that are proven bounded, where
+    there are some."""
+    rows = [r for r in rows if r.forgets] or rows
+    return [r for r in rows if r.bounded] or rows
 
 
 def _place(row: Candidate) -> tuple[bool, bool, float, float]:

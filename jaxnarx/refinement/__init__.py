@@ -12,6 +12,7 @@ from jaxnarx.refinement._stability import (
     largest_local_pole,
     rate_of,
     stability,
+    stays_bounded,
 )
 from jaxnarx.refinement._stages import Stage, stages
 from jaxnarx.refinement.criterion import squares
@@ -47,4 +48,5 @@ __all__ = [
     "squares",
     "stability",
     "stages",
+    "stays_bounded",
 ]

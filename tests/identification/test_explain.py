@@ -58,7 +58,9 @@ def test_the_rules_have_words_of_their_own():
 def test_the_best_that_is_also_the_cheapest_is_called_that():
     found = Leaderboard((row(0), row(1)), ("day 1", "day 2"))
     told = sentences(found, "y")
-    assert "the best, and none within its standard error is cheaper" in told[0]
+    assert (
+        "the best, and none within its standard error is as safe and cheaper" in told[0]
+    )
     assert len(told) == 2  # no other family, and no better model that is not linear
 
 

@@ -53,6 +53,15 @@ def test_of_equals_one_that_forgets_its_past_is_chosen():
     assert board(alone, slow).choose("y") == slow
 
 
+def test_of_equals_one_that_is_proven_bounded_is_chosen():
+    cheap = row(2, (0.63, 0.48, 0.72, 0.89), 10, bounded=False)
+    proven = dataclasses.replace(BEST, bounded=True)
+    assert board(proven, cheap).choose("y") == proven
+    assert board(BEST, cheap).choose("y") == cheap
+    both = dataclasses.replace(cheap, bounded=True)
+    assert board(proven, both).choose("y") == both
+
+
 def test_worse_everywhere_is_not_near_though_groups_differ_more():
     """By a little in every group: less than groups differ, but it is no chance."""
     other = row(2, (0.61, 0.51, 0.72, 0.91), 10, standard_error=0.5)

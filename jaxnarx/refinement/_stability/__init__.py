@@ -5,6 +5,7 @@ from jaxnarx.refinement._stability._certificate import (
     attach_certificate,
     certificate,
     rate_of,
+    stays_bounded,
 )
 from jaxnarx.refinement._stability._penalty import (
     Metric,
@@ -42,4 +43,5 @@ __all__ = [
     "rate_of",
     "slowest",
     "stability",
+    "stays_bounded",
 ]

@@ -11,24 +11,27 @@ the same holds for every mean, whatever the inputs: S. Boyd, L. El Ghaoui, E. Fe
 Balakrishnan, Linear Matrix Inequalities in System and Control Theory, SIAM 1994,
 section 5.1. A past output that is multiplied by inputs makes A_i an interval, which
 inputs held at the edge of their ranges (`jaxnarx.models.limits`) cannot leave; its
-corners decide. It is said of runs that stay inside their feedback bounds, and of the
-network it was found for: `rate_of` tells what it proves of one that was changed since.
+corners decide. Sigmoid gates may look at past outputs: their slopes have ends, too
+(`slopes`).
+
+A weaker claim is that runs stay bounded while their inputs do: gates add what is
+bounded to a linear model, so that it is enough that this one is stable.
+
+It is said of runs that stay inside their feedback bounds, and of the network it was
+found for: `rate_of` tells what it proves of one that was changed since.
 """
 
 import dataclasses
-import itertools
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.models import Network, OutputModel, depth, fed_back_variables
+from jaxnarx.models import Network, depth
 from jaxnarx.refinement._stability.norm import contracting_norm, norms
-from jaxnarx.refinement._stability.points import companion, linked_groups
-from jaxnarx.regressors import LowPass
+from jaxnarx.refinement._stability.points import companion, linked_groups, moduli
+from jaxnarx.refinement._stability.slopes import GatedSlopes, slopes_of
 
-MOST_MATRICES = 4096
-"""Largest number of matrices; with more no certificate is attempted."""
 SLOWEST_RATE = 0.9999
 """The slowest rate that counts: a run forgets in some ten thousand samples."""
 
@@ -55,6 +58,8 @@ def certificate(network: Network) -> Certificate | None:
     size = len(network.models) * depth(network)
     whole, rate, overshoot = np.eye(size), 0.0, 1.0
     for at, matrices in blocks:
+        if not moduli(matrices).max() <= SLOWEST_RATE:
+            return None
         factor = contracting_norm(matrices)
         own = _largest(factor, matrices)
         if not own <= SLOWEST_RATE:
@@ -88,120 +93,42 @@ def _largest(factor: np.ndarray, matrices: np.ndarray) -> float:
     return float(norms(factor, matrices).max()) * (1 + 1e-9)
 
 
+def stays_bounded(network: Network) -> bool:
+    """Whether every run is proven to stay bounded while its inputs are, however large.
+
+    True without feedback, where local models share their feedback or contract in one
+    norm, and with sigmoid gates beside a stable linear model: x(t+1) = A x(t) + v(t),
+    where v is bounded. Slower than `SLOWEST_RATE` counts as not stable.
+    """
+    slopes = slopes_of(network)
+    if isinstance(slopes, GatedSlopes):
+        every = companion(slopes.beside[None])
+        return bool(moduli(every).max() <= SLOWEST_RATE)
+    blocks = _blocks(network)
+    if blocks is None:
+        return False
+    alone = [matrices for _, matrices in blocks if len(matrices) == 1]
+    if any(moduli(matrices).max() > SLOWEST_RATE for matrices in alone):
+        return False
+    return len(alone) == len(blocks) or certificate(network) is not None
+
+
 Block = tuple[list[int], Float[np.ndarray, "corners n n"]]
 
 
 def _blocks(network: Network) -> list[Block] | None:
     """Outputs that act on one another: their places in the state, and all matrices."""
-    rows = _slopes(network)
-    if rows is None:
+    slopes = slopes_of(network)
+    if slopes is None:
         return None
     outputs, lags = len(network.models), depth(network)
-    linked = np.stack([np.abs(corners).max(axis=(0, 2)) > 0 for corners in rows])
     found = []
-    for group in linked_groups(linked | linked.T):
-        if not linked[np.ix_(group, group)].any():
+    for group in linked_groups(slopes.linked | slopes.linked.T):
+        if not slopes.linked[np.ix_(group, group)].any():
             continue
-        matrices = _matrices([rows[o][:, list(group)] for o in group])
-        if matrices is None:
+        combined = slopes.combine(group)
+        if combined is None:
             return None
         at = [lag * outputs + o for lag in range(lags) for o in group]
-        found.append((at, matrices))
+        found.append((at, companion(combined)))
     return found
-
-
-def _matrices(
-    rows: list[Float[np.ndarray, "_ outputs depth"]],
-) -> Float[np.ndarray, "corners n n"] | None:
-    """Companion matrices of all combinations of the outputs' corners."""
-    if np.prod([float(len(corners)) for corners in rows]) > MOST_MATRICES:
-        return None
-    every = [np.stack(one) for one in itertools.product(*rows)]
-    return companion(np.stack(every))
-
-
-def _slopes(
-    network: Network,
-) -> list[Float[np.ndarray, "_ outputs depth"]] | None:
-    """Slopes of every output by the past outputs, at all corners of what they can be;
-    None where they depend on the past outputs themselves."""
-    if network.parallel or not all(map(_has_convex_weights, network.models)):
-        return None
-    own = fed_back_variables(network.variables, network.signals)
-    if any(
-        fed_back_variables(model.scheduling, network.signals)
-        for model in network.models
-    ):
-        return None
-    place = {row + 1: (o, lag) for row, o, lag in own}
-    found = []
-    for model in network.models:
-        corners = _corners(network, model, place)
-        if corners is None:
-            return None
-        found.append(corners)
-    return found
-
-
-def _has_convex_weights(model: OutputModel) -> bool:
-    """Whether the local models are averaged: weights from zero on that sum to one."""
-    try:
-        model.validity.check(len(model.active), len(model.scheduling))
-    except ValueError:
-        return False
-    return model.validity.is_convex
-
-
-def _corners(
-    network: Network, model: OutputModel, place: dict[int, tuple[int, int]]
-) -> Float[np.ndarray, "corners outputs depth"] | None:
-    """The corners of one output: local models, and ends of what multiplies a past
-    output."""
-    shape = len(network.models), depth(network)
-    dense = np.asarray(model.local.dense(), float)[np.asarray(model.active)]
-    fixed = np.zeros((len(dense), *shape))
-    moving: dict[tuple[int, ...], np.ndarray] = {}
-    for k, row in enumerate(np.asarray(model.local.factor).tolist()):
-        fed = [v for v in row if v in place]
-        if not fed or not dense[:, k].any():
-            continue
-        if len(fed) > 1:
-            return None
-        others = tuple(sorted(v for v in row if v and v not in place))
-        part = np.zeros_like(fixed)
-        part[:, *place[fed[0]]] = dense[:, k]
-        if others:
-            moving[others] = moving.get(others, 0.0) + part
-        else:
-            fixed += part
-    if 2.0 ** len(moving) * len(fixed) > MOST_MATRICES:
-        return None
-    known = [_range(network, others) for others in moving]
-    ends = [end for end in known if end is not None]
-    if len(ends) < len(known):
-        return None
-    every = [
-        fixed + sum(e * part for e, part in zip(chosen, moving.values(), strict=True))
-        for chosen in itertools.product(*ends)
-    ]
-    return np.unique(np.concatenate(every), axis=0)
-
-
-def _range(network: Network, variables: tuple[int, ...]) -> tuple[float, float] | None:
-    """Ends of a product of scaled inputs held in their ranges; None where they are not
-    held, or leave their ranges by a filter."""
-    if network.plain:
-        return None
-    low, high = 1.0, 1.0
-    for variable in variables:
-        signal, _, filter_ = network.variables.entries[variable - 1]
-        known = signal < len(network.channels.inputs)
-        if not known or not (filter_ is None or isinstance(filter_, LowPass)):
-            return None
-        gain = float(np.asarray(network.gain)[signal])
-        pair = (
-            float(np.asarray(e)[signal]) / gain for e in (network.low, network.high)
-        )
-        ends = [a * b for a, b in itertools.product((low, high), pair)]
-        low, high = min(ends), max(ends)
-    return low, high

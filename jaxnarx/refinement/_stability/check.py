@@ -11,7 +11,11 @@ from jaxnarx.checks import whole
 from jaxnarx.data import Dataset
 from jaxnarx.formatting import page
 from jaxnarx.models import Network
-from jaxnarx.refinement._stability._certificate import Certificate, certificate
+from jaxnarx.refinement._stability._certificate import (
+    Certificate,
+    certificate,
+    stays_bounded,
+)
 from jaxnarx.refinement._stability.bound import RUN_WORDS, Bound, bounds
 from jaxnarx.refinement._stability.points import choose_points
 from jaxnarx.refinement._stability.poles import Poles, pole_table, time_constant
@@ -39,13 +43,15 @@ class Stability:
 
     `bounds` go from the strongest claim to the weakest and end with the first that
     holds; claims that an unstable pole refutes are left out. `sample_time` in s. A
-    `certificate` holds for every input, beyond these data too.
+    `certificate` holds for every input, beyond these data too, as does that every run
+    is `bounded` while its inputs are.
     """
 
     poles: tuple[Poles, ...]
     bounds: tuple[Bound, ...]
     sample_time: float
     certificate: Certificate | None = None
+    bounded: bool = False
 
     @property
     def bound(self) -> Bound:
@@ -99,6 +105,8 @@ class Stability:
         )
         if bound.average < 1:
             text += f" On average steps contract by {bound.average:.4f}."
+        if self.bounded:
+            text += " Every run stays bounded while its inputs do: proven."
         return text
 
     @property
@@ -189,7 +197,7 @@ def stability(
 
     Returns:
         `value` holds `poles`, `bounds` and the `certificate`, if there is one; `stats`
-        has `contracts`, `rate`, `fails`, `time_constant`, `certified`.
+        has `contracts`, `rate`, `fails`, `time_constant`, `certified`, `bounded`.
     """
     if samples is not None:
         samples = whole(samples, "samples")
@@ -208,13 +216,15 @@ def stability(
     total = int(masks.anchors.sum())
     found = bounds(network, visited, list(matched.names), matched.sample_time, total)
     proven = certificate(network)
-    value = Stability(poles, found, float(matched.sample_time), proven)
+    bounded = proven is not None or stays_bounded(network)
+    value = Stability(poles, found, float(matched.sample_time), proven, bounded)
     stats = {
         "contracts": value.contracts,
         "rate": value.bound.rate,
         "fails": value.bound.fails,
         "time_constant": value.time_constant,
         "certified": proven is not None,
+        "bounded": bounded,
     }
     diverged = any(np.any(bad) for bad in run.value.diverged)
     if diverged:

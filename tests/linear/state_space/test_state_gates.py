@@ -12,11 +12,13 @@ from state_plants import made, plant, records
 
 import jaxnarx as jnx
 from jaxnarx.arrays.programs import program
+from jaxnarx.confidence import apply_release_limits
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.linear import fit_states, set_state_ranges, state_network
 from jaxnarx.linear.state_space import fit as fit_module
 from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.models import AdditiveGates, Network, load, save
+from jaxnarx.refinement import certificate, stability, stays_bounded
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement.gauss_newton import loss, normal_equations
 from jaxnarx.refinement.initial import initial_conditions
@@ -86,6 +88,68 @@ def test_a_run_is_that_of_the_equations(gated):
             assert made_by[0] * gain[1] == pytest.approx(y[t, 0], rel=1e-9, abs=1e-9)
             x = np.array(made_by[1:]) * gain[2:]
             np.testing.assert_allclose(x, hidden[t], rtol=1e-9, atol=1e-9)
+
+
+def jacobians(network: Network, points: int) -> np.ndarray:
+    """Of all that is computed by itself, at random states and inputs far and near."""
+    rng, first = np.random.default_rng(7), network.models[0]
+    low, span = (np.asarray(a) for a in (first.offset, first.span))
+    gain, gates = np.asarray(network.gain), gates_of(network)[0]
+    direction, border = np.asarray(gates.direction), np.asarray(gates.border)
+    theta = [np.asarray(m.local.coefficient) for m in network.models]
+
+    def step(x, u):
+        z = np.concatenate([x[1:] * gain[2:], u])
+        s = 1 / (1 + np.exp(-(direction @ ((z - low) / span) - border)))
+        scaled = z / gain[[2, 3, 0]]
+        return np.array([c[0, 0] + c[0, 1:] @ scaled + c[1:, 0] @ s for c in theta])
+
+    found = []
+    for _ in range(points):
+        size = 10.0 ** rng.uniform(-2, 1)
+        x, u = size * rng.normal(size=len(theta)), size * rng.normal(size=1)
+        e = 1e-5 * np.eye(len(x))
+        found.append([(step(x + d, u) - step(x - d, u)) / 2e-5 for d in e])
+    return np.swapaxes(np.array(found), 1, 2)
+
+
+def test_a_certificate_holds_for_the_slopes_of_all_states(gated):
+    found = certificate(gated)
+    assert found is not None and found.rate < 1 and stays_bounded(gated)
+    # Weak gates hardly change the rate of the linear model.
+    alone = np.abs(np.linalg.eigvals(plant().a)).max()
+    assert alone < found.rate
+    slopes = jacobians(gated, 200)
+    turned = found.factor @ slopes @ np.linalg.inv(found.factor)
+    sizes = np.linalg.norm(turned, 2, axis=(1, 2))
+    assert sizes.max() <= found.rate + 1e-6
+    free = apply_release_limits(gated)
+    assert free.certificate is not None and free.outside == "flag"
+
+
+def test_strong_gates_have_none_but_stay_bounded(gated):
+    models = []
+    for model in gated.models:
+        theta = np.array(model.local.coefficient)
+        theta[1:] *= 50
+        local = dataclasses.replace(model.local, coefficient=jax.device_put(theta))
+        models.append(dataclasses.replace(model, local=local))
+    strong = dataclasses.replace(gated, models=tuple(models))
+    assert certificate(strong) is None and stays_bounded(strong)
+    assert np.abs(np.linalg.eigvals(jacobians(strong, 50))).max() > 1
+    data = records()
+    told = stability(strong, data)
+    assert told.stats["bounded"] and "stays bounded" in told.value.summary
+    loud = dataclasses.replace(
+        data, records=tuple(dataclasses.replace(r, u=100 * r.u) for r in data)
+    )
+    free = apply_release_limits(strong)
+    run = simulate(free, loud).value
+    assert not np.any(run.diverged) and np.isfinite(np.concatenate(run.hidden)).all()
+    # Beside a linear model that is not stable nothing is proven.
+    first = dataclasses.replace(plant(), a=2 * np.asarray(plant().a))
+    raised = add_gates(state_network(first, data, (0,), window=15), data, GATES, 1)
+    assert not stays_bounded(raised) and certificate(raised) is None
 
 
 @program
