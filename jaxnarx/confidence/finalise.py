@@ -38,6 +38,11 @@ def attach_domain_and_intervals(
     return fit_error_model(network, data, groups=groups, left_out=left_out)
 
 
+def _needs_no_limits(network: Network) -> bool:
+    """Whether its runs are bounded by themselves: not by states that saturate."""
+    return stays_bounded(network) and not np.asarray(network.saturates).any()
+
+
 def apply_release_limits(network: Network) -> Network:
     """The network with limits that let it follow inputs beyond their ranges.
 
@@ -51,7 +56,7 @@ def apply_release_limits(network: Network) -> Network:
     margin = None if network.hold is None else float(network.hold)
     for outside in (FLAG, LINEAR):
         network = attach_certificate(hold_to_range(network, margin, outside=outside))
-        if network.certificate is not None or stays_bounded(network):
+        if network.certificate is not None or _needs_no_limits(network):
             break
     else:
         return network

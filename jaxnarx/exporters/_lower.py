@@ -328,11 +328,12 @@ class _Lowering:
         return b.clip(value, low, high), b.no(inside)
 
     def _limit_flags(self, acted: list[Value]) -> list[Value]:
-        """Flags of the bound on an output or on any hidden channel, which enters all
-        outputs; then of every hidden channel alone."""
+        """Flags of the bound on an output or on any hidden channel that does not
+        saturate, for it enters all outputs; then of every hidden channel alone."""
         count = len(self.network.modelled)
-        hidden = acted[count:]
-        return [self.b.largest([one, *hidden]) for one in acted[:count]] + hidden
+        free = np.flatnonzero(~np.asarray(self.network.saturates)[count:])
+        hidden = [acted[count + n] for n in free]
+        return [self.b.largest([one, *hidden]) for one in acted[:count]] + acted[count:]
 
     # local models ------------------------------------------------------------------
 

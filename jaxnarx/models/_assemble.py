@@ -99,11 +99,13 @@ def set_ranges(network: Network, data: Dataset) -> Network:
 
 
 def set_bounds(network: Network, margin: float = OUTPUT_MARGIN) -> Network:
-    """The network with feedback bounds so many widths of the trained ranges beyond."""
+    """The network with feedback bounds so many widths of the trained ranges beyond;
+    what saturates keeps its own."""
     own = np.array(network.signals)
     ranges = network.low, network.high, network.gain
     low, high, gain = (np.asarray(a)[own] for a in ranges)
     wider = np.asarray(margin * (high - low), low.dtype)
+    wider = np.where(np.asarray(network.saturates), 0, wider)
     lower, upper = jax.device_put(((low - wider) / gain, (high + wider) / gain))
     return dataclasses.replace(network, lower=lower, upper=upper)
 

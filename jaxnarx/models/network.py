@@ -46,6 +46,9 @@ Arrays = Array | np.ndarray
 MISSING = HOLD, NAN
 """Policies for outputs where an input is missing: those of the last finite input, or
 not a number."""
+SATURATION_TOLERANCE = 1e-9
+"""Share of its range by which the bound of a channel that saturates may differ from
+the end of the range."""
 UNBOUNDED_WIDTHS = 1e4
 """Feedback bounds of more trained widths than these are none to speak of."""
 SHOWN_TERMS = 6
@@ -170,7 +173,8 @@ class Network(eqx.Module):
     of the modelled outputs among `channels.outputs`. `models` computes these and, after
     them, all hidden channels. `gain` brings signals to unit size. `lower` and `upper`
     bound what is simulated (scaled); `low` and `high` are the training ranges in
-    physical units. `outside` says what inputs beyond theirs do, "flag", "hold",
+    physical units; a hidden channel whose bounds are its range saturates there, as a
+    part of the model. `outside` says what inputs beyond theirs do, "flag", "hold",
     "linear" or "nan" (`jaxnarx.models.limits`), `hold`, if any, by which share of its
     range a reported output may leave it. `nan` says what outputs are where an input is
     not finite, "hold" or "nan", and `invalid_after` for how many samples in a row they
@@ -269,6 +273,18 @@ class Network(eqx.Module):
             return ""
         unit = f" {unit}" if (unit := self.computed[o].unit) else ""
         return f"{low:.4g} to {high:.4g}{unit}"
+
+    @property
+    def saturates(self) -> Bool[Array, " computed"]:
+        """Whether what is computed stays at its bounds as a part of the model: hidden
+        channels alone whose bounds are their ranges. For others to reach their bounds
+        is to run away."""
+        count, own = len(self.modelled), np.array(self.signals)
+        gain, low, high = self.gain[own], self.low[own], self.high[own]
+        slack = SATURATION_TOLERANCE * (high - low)
+        ends = (self.lower * gain - low, self.upper * gain - high)
+        same = (jnp.abs(ends[0]) <= slack) & (jnp.abs(ends[1]) <= slack)
+        return same & (high > low) & (np.arange(len(own)) >= count)
 
     @property
     def margin_text(self) -> str:

@@ -30,6 +30,10 @@ class HiddenStates:
     states share; with degree one and one region."""
     draw: int = 0
     """Number of the draw of the gates: another number draws other ones."""
+    saturation: NotNegative = 0.0
+    """Standard deviations of a state of the linear start at which it saturates, in
+    training and as a part of the model: products of states can run away from a short
+    record, and where a tank overflows they have to. 0: nowhere."""
     times: Sequence[float] = ()
     """Time constants [s] of a bank of first-order lags to start from, one for every
     state, each input at its dead time and a little later; for one output. By default

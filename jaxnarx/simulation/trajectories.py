@@ -82,8 +82,10 @@ class Trajectories:
 def limited_samples(
     network: Network, y: Float[Array, "records time outputs"]
 ) -> Bool[Array, "records time outputs"]:
-    """The samples at which the feedback bound holds the scaled outputs of a run."""
-    return (y <= network.lower[None, None]) | (y >= network.upper[None, None])
+    """The samples at which the feedback bound holds the scaled outputs of a run; not
+    those at which a hidden channel saturates."""
+    held = (y <= network.lower[None, None]) | (y >= network.upper[None, None])
+    return held & ~network.saturates[None, None]
 
 
 def has_diverged(
@@ -150,11 +152,13 @@ def make_trajectories(
         extrapolated |= gaps.missing
         if NAN in (network.nan, network.outside):
             silent |= gaps.missing
+    free = ~np.asarray(network.saturates)
     if ahead is None:
-        limited = lost | (np.asarray(scaled) <= lower) | (np.asarray(scaled) >= upper)
+        held = (np.asarray(scaled) <= lower) | (np.asarray(scaled) >= upper)
     else:
-        limited = lost | np.asarray(ahead[1])
-        extrapolated |= np.any((computed < low) | (computed > high), axis=2)
+        held = np.asarray(ahead[1])
+        extrapolated |= np.any(((computed < low) | (computed > high)) & free, axis=2)
+    limited = lost | (held & free)
     count = len(network.modelled)
     limited = limited[..., :count] | limited[..., count:].any(axis=2, keepdims=True)
     outputs, hidden, scored = (

@@ -282,12 +282,28 @@ def _linear_networks(
         model, delayed = bank_model(data, places[0], method.times)
         yield (
             BANK_NAME,
-            state_network(model, data, places, window=method.window, delayed=delayed),
+            state_network(
+                model,
+                data,
+                places,
+                window=method.window,
+                saturation=method.saturation,
+                delayed=delayed,
+            ),
         )
         return
     for name, model in linear_starts(data, places, method.states):
         if method.start in ("", name):
-            yield name, state_network(model, data, places, window=method.window)
+            yield (
+                name,
+                state_network(
+                    model,
+                    data,
+                    places,
+                    window=method.window,
+                    saturation=method.saturation,
+                ),
+            )
 
 
 def _error(network: Network, data: Dataset) -> float:

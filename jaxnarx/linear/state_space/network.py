@@ -51,12 +51,14 @@ def state_network(
     *,
     degree: int = 1,
     window: int = 50,
+    saturation: float = 0.0,
     delayed: Sequence[tuple[int, int]] | None = None,
 ) -> Network:
     """The network with the free run of `model`, whose states have unit size.
 
     `outputs` are the positions of its outputs among those of the data. Products of
-    states and inputs up to `degree` are terms of all that is computed. `delayed` tells
+    states and inputs up to `degree` are terms of all that is computed. With a
+    `saturation` states stay within so many of their sizes. `delayed` tells
     which input, so many samples ago, each input of the model is; by default those of
     the data, as they come.
     """
@@ -79,9 +81,12 @@ def state_network(
     own = np.append(inputs + np.array(outputs), first + np.arange(states))
     low, high = ranges(data)
     gain = np.append(gains(data), np.ones(states))
-    low, high = (np.append(a, np.full(states, b)) for a, b in ((low, -2), (high, 2)))
+    size = saturation or 2.0
+    low, high = (
+        np.append(a, np.full(states, b)) for a, b in ((low, -size), (high, size))
+    )
     wider = OUTPUT_MARGIN * (high - low)[own]
-    wider[len(outputs) :] = FREE_DEVIATIONS - 2
+    wider[len(outputs) :] = 0.0 if saturation else FREE_DEVIATIONS - size
     table = products(len(rows), degree)
     theta = _coefficients(model, gain[[j for j, _ in driven]], gain[own], table)
     return Network(
@@ -155,8 +160,9 @@ def set_state_ranges(network: Network, data: Dataset) -> Network:
     """The network whose hidden channels are held to the ranges these data drive them
     through, widened as outputs are.
 
-    With sigmoid gates, beyond which it is linear, they are held only so far away that
-    nothing else is left to do: a slow state wanders farther than a stretch tells.
+    One that saturates keeps its own. With sigmoid gates, beyond which it is linear,
+    they are held only so far away that nothing else is left to do: a slow state wanders
+    farther than a stretch tells.
     """
     data = match_records(network, data)
     run = simulate(network, data).value
@@ -171,7 +177,7 @@ def set_state_ranges(network: Network, data: Dataset) -> Network:
     wider, gain = OUTPUT_MARGIN * (high - low), np.asarray(network.gain)[first:]
     if isinstance(network.models[0].validity, AdditiveGates):
         wider = np.maximum(wider, FREE_DEVIATIONS * found.std(axis=0))
-    values = {}
+    values, saturates = {}, np.asarray(network.saturates)[count:]
     for name, value, at in (
         ("low", low, first),
         ("high", high, first),
@@ -179,5 +185,6 @@ def set_state_ranges(network: Network, data: Dataset) -> Network:
         ("upper", (high + wider) / gain, count),
     ):
         old = np.asarray(getattr(network, name))
-        values[name] = jax.device_put(np.append(old[:at], value))
+        kept = np.where(saturates, old[at:], value)
+        values[name] = jax.device_put(np.append(old[:at], kept))
     return dataclasses.replace(network, **values)

@@ -27,7 +27,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.models import Network, depth
+from jaxnarx.models import Network, depth, fed_back_variables
 from jaxnarx.refinement._stability.norm import contracting_norm, norms
 from jaxnarx.refinement._stability.points import companion, linked_groups, moduli
 from jaxnarx.refinement._stability.slopes import GatedSlopes, slopes_of
@@ -97,9 +97,12 @@ def stays_bounded(network: Network) -> bool:
     """Whether every run is proven to stay bounded while its inputs are, however large.
 
     True without feedback, where local models share their feedback or contract in one
-    norm, and with sigmoid gates beside a stable linear model: x(t+1) = A x(t) + v(t),
-    where v is bounded. Slower than `SLOWEST_RATE` counts as not stable.
+    norm, where hidden channels saturate, and with sigmoid gates beside a stable linear
+    model: x(t+1) = A x(t) + v(t), where v is bounded. Slower than `SLOWEST_RATE` counts
+    as not stable.
     """
+    if _saturates_whole(network):
+        return True
     slopes = slopes_of(network)
     if isinstance(slopes, GatedSlopes):
         every = companion(slopes.beside[None])
@@ -111,6 +114,13 @@ def stays_bounded(network: Network) -> bool:
     if any(moduli(matrices).max() > SLOWEST_RATE for matrices in alone):
         return False
     return len(alone) == len(blocks) or certificate(network) is not None
+
+
+def _saturates_whole(network: Network) -> bool:
+    """Whether all that is fed back saturates."""
+    tables = (network.variables, *(m.scheduling for m in network.models))
+    fed = {o for t in tables for _, o, _ in fed_back_variables(t, network.signals)}
+    return bool(fed) and bool(np.asarray(network.saturates)[sorted(fed)].all())
 
 
 Block = tuple[list[int], Float[np.ndarray, "corners n n"]]

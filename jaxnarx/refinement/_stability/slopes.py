@@ -34,7 +34,10 @@ Corners = Float[np.ndarray, "corners outputs outputs depth"]
 
 
 def slopes_of(network: Network) -> "GatedSlopes | MeanSlopes | None":
-    """The slopes of a network; None where nothing bounds them but the outputs."""
+    """The slopes of a network; None where nothing bounds them but the outputs, or where
+    what is fed back saturates: a norm need not shrink there."""
+    if np.asarray(network.saturates).any():
+        return None
     gated = all(isinstance(m.validity, AdditiveGates) for m in network.models)
     return GatedSlopes.of(network) if gated else MeanSlopes.of(network)
 

@@ -2,15 +2,19 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 from state_plants import METHOD, made, plant, records
 
+import jaxnarx as jnx
+from jaxnarx.confidence import apply_release_limits
 from jaxnarx.data import Dataset
 from jaxnarx.errors import DataError, SpecError
-from jaxnarx.linear import fit_states, refit_states
+from jaxnarx.linear import fit_states, refit_states, set_state_ranges, state_network
 from jaxnarx.linear.state_space.starts import linear_starts
-from jaxnarx.models import Network
+from jaxnarx.models import Network, combine_outputs, load, save, set_bounds
+from jaxnarx.refinement import stays_bounded
 from jaxnarx.settings import HiddenStates
 from jaxnarx.simulation import simulate
 
@@ -214,3 +218,77 @@ def test_poor_data_end_with_a_model_that_runs_or_a_sentence(data, change):
 def test_the_pull_falls(bad):
     with pytest.raises(SpecError, match="shrink must fall"):
         HiddenStates(shrink=bad)
+
+
+# states that saturate -------------------------------------------------------------
+
+LEVEL = 0.7
+
+
+def saturated() -> Network:
+    """The plant, driven farther than its states may go."""
+    return state_network(plant(), records(), (0,), window=15, saturation=LEVEL)
+
+
+def plain_run(net: Network, hidden, u) -> np.ndarray:
+    """Outputs of the plant whose states stay within the level."""
+    p, x, y = plant(), np.array(hidden), np.zeros(len(u))
+    for t, now in enumerate(u):
+        y[t] = (p.c @ x + p.d @ now + p.output_offset)[0]
+        x = np.clip(p.a @ x + p.b @ now + p.state_offset, -LEVEL, LEVEL)
+    return y
+
+
+def test_states_that_saturate_are_a_part_of_the_model():
+    net, data = saturated(), records()
+    np.testing.assert_array_equal(net.saturates, [False, True, True])
+    run = simulate(net, data)
+    assert run.is_okay and not any(held.any() for held in run.value.limited)
+    for record, hidden, y in zip(
+        data, run.value.hidden, run.value.outputs, strict=True
+    ):
+        assert np.abs(hidden).max() == LEVEL and np.mean(np.abs(hidden) == LEVEL) > 0.1
+        first = net.before
+        own = plain_run(net, hidden[first - 1], record.u[first:])
+        np.testing.assert_allclose(y[first:, 0], own, rtol=1e-9, atol=1e-12)
+    free = state_network(plant(), data, (0,), window=15)
+    tight = dataclasses.replace(
+        free, **{k: getattr(net, k) for k in ("lower", "upper")}
+    )
+    assert simulate(tight, data).status == jnx.RESULTS.diverged
+
+
+def test_saturation_stays_whatever_is_done_to_bounds_and_files(tmp_path):
+    net, data = saturated(), records()
+    save(net, tmp_path / "net.safetensors")
+    wide = apply_release_limits(jnx.models.hold_to_range(net))
+    for one in (
+        load(tmp_path / "net.safetensors"),
+        set_bounds(net, 1e3),
+        set_state_ranges(net, data),
+        wide,
+        combine_outputs([net]),
+        jax.tree.map(lambda a: a, net),
+    ):
+        np.testing.assert_array_equal(one.saturates, net.saturates)
+        np.testing.assert_array_equal(one.upper[1:], LEVEL)
+    assert stays_bounded(net) and wide.outside == "linear"
+    raised = dataclasses.replace(plant(), a=2 * np.asarray(plant().a))
+    assert stays_bounded(state_network(raised, data, (0,), saturation=LEVEL))
+    assert not stays_bounded(state_network(raised, data, (0,)))
+
+
+def test_exported_code_saturates_too():
+    """Proven by runs of the code beside those of the network."""
+    found = jnx.export(saturated(), records(), to=["python"]).difference
+    assert found and max(found.values()) < 1e-12
+
+
+def test_training_ends_with_states_that_stay_within_their_level():
+    method = dataclasses.replace(SHORT, degree=2, saturation=2.5)
+    fit = fit_states(records(bend=0.2), method)
+    np.testing.assert_array_equal(fit.value.upper[1:], 2.5)
+    np.testing.assert_array_equal(fit.value.high[2:], 2.5)
+    again = refit_states(fit.value, records(bend=0.2, seed=3), method, 1e-2)
+    np.testing.assert_array_equal(again.upper[1:], 2.5)
+    assert error(again, records(bend=0.2, seed=3)) < 0.2
