@@ -275,15 +275,18 @@ class Network(eqx.Module):
         return f"{low:.4g} to {high:.4g}{unit}"
 
     @property
-    def saturates(self) -> Bool[Array, " computed"]:
+    def saturates(self) -> Bool[Arrays, " computed"]:
         """Whether what is computed stays at its bounds as a part of the model: hidden
         channels alone whose bounds are their ranges. For others to reach their bounds
         is to run away."""
         count, own = len(self.modelled), np.array(self.signals)
-        gain, low, high = self.gain[own], self.low[own], self.high[own]
+        leaves = self.gain, self.low, self.high, self.lower, self.upper
+        if not any(isinstance(leaf, Tracer) for leaf in leaves):
+            leaves = tuple(np.asarray(leaf) for leaf in leaves)
+        (gain, low, high), (lower, upper) = (a[own] for a in leaves[:3]), leaves[3:]
         slack = SATURATION_TOLERANCE * (high - low)
-        ends = (self.lower * gain - low, self.upper * gain - high)
-        same = (jnp.abs(ends[0]) <= slack) & (jnp.abs(ends[1]) <= slack)
+        same = abs(lower * gain - low) <= slack
+        same &= abs(upper * gain - high) <= slack
         return same & (high > low) & (np.arange(len(own)) >= count)
 
     @property

@@ -152,7 +152,7 @@ def make_trajectories(
         extrapolated |= gaps.missing
         if NAN in (network.nan, network.outside):
             silent |= gaps.missing
-    free = ~np.asarray(network.saturates)
+    free = ~network.saturates
     if ahead is None:
         held = (np.asarray(scaled) <= lower) | (np.asarray(scaled) >= upper)
     else:

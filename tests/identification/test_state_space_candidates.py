@@ -39,6 +39,7 @@ from jaxnarx.identification.state_space_candidates import (
     SAMPLES_PER_COEFFICIENT,
     SHORT_PULLS,
     SHORT_RECORDS,
+    SHORT_SATURATION,
     UNASKED_INPUTS,
     WINDOW_LIMITS,
     propose_gates,
@@ -75,11 +76,14 @@ def test_a_method_has_a_name_for_every_pull_and_number_of_regions():
         assert method.shrink == (SHORT_PULLS if method.regions == 1 else PULLS_TRIED)
         for name, (regions, pull) in zip(names, method.stages, strict=True):
             kind = f"degree {method.degree}" if regions == 1 else f"{regions} regions"
+            stays = regions == 1 and method.degree > 1
+            assert method.saturation == (SHORT_SATURATION if stays else 0)
+            kind += f", saturated at {SHORT_SATURATION:g}" if stays else ""
             assert name == f"{method.states} states, {kind}, pull {pull:g}"
         seen += names
     assert len(set(seen)) == len(seen) >= 6
     _, _, long = next(propose_state_space(wide(1, SHORT_RECORDS + 1), "y", TINY))
-    assert long.shrink == PULLS_TRIED
+    assert long.shrink == PULLS_TRIED and long.saturation == 0
 
 
 def test_orders_that_are_asked_for_are_the_only_ones():
