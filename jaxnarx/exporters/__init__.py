@@ -14,6 +14,8 @@ from jaxnarx.exporters.calibration import read_dcm as read_dcm
 from jaxnarx.exporters.calibration import read_text as read_text
 from jaxnarx.exporters.dcm import map_lines as map_lines
 from jaxnarx.exporters.dcm import sanitise as sanitise
+from jaxnarx.exporters.fmu import fmu_runner as fmu_runner
+from jaxnarx.exporters.fmu import learning_fmu as learning_fmu
 from jaxnarx.exporters.form import BLEND as BLEND
 from jaxnarx.exporters.form import BOTH as BOTH
 from jaxnarx.exporters.form import FILTERS as FILTERS
@@ -30,6 +32,7 @@ from jaxnarx.exporters.parameters import (
 from jaxnarx.exporters.proof import DOUBLE_TOLERANCE as DOUBLE_TOLERANCE
 from jaxnarx.exporters.proof import Case as Case
 from jaxnarx.exporters.proof import ExportError as ExportError
+from jaxnarx.exporters.proof import Runner as Runner
 from jaxnarx.exporters.proof import make_cases as make_cases
 from jaxnarx.exporters.proof import worst as worst
 from jaxnarx.exporters.readback import read_parameters as read_parameters

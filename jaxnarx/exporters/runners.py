@@ -30,10 +30,10 @@ from jaxnarx.files import TemporaryFolder
 
 AdaptationRunner = Callable[
     [Float[np.ndarray, "time inputs"], Float[np.ndarray, "time computed"]],
-    Float[np.ndarray, " coefficients"],
+    tuple[Float[np.ndarray, " coefficients"], Float[np.ndarray, "time reported"]],
 ]
 """A function that learns from inputs and measured outputs, and gives the coefficients
-at the end, output by output."""
+at the end, output by output, and what was reported."""
 
 
 def import_page(path: Path) -> Any:
@@ -224,17 +224,18 @@ def adaptation_runner(folder: Path, adaptive: AdaptiveProgram) -> AdaptationRunn
 
     def run(inputs, measured):
         u, y = (np.ascontiguousarray(x, float) for x in (inputs, measured))
-        theta = np.zeros(at)
-        pointers = (x.ctypes.data_as(ctypes.c_void_p) for x in (u, y, theta))
+        theta, reported = np.zeros(at), np.zeros((len(u), len(program.reported)))
+        arrays = (u, y, theta, reported)
+        pointers = (x.ctypes.data_as(ctypes.c_void_p) for x in arrays)
         call(ctypes.c_int(len(u)), *pointers)
-        return theta
+        return theta, reported
 
     return run
 
 
 _LEARNING_PAGE = """#include "NAME_adapt.h"
-void run(int n, const double *u, const double *y, double *theta);
-void run(int n, const double *u, const double *y, double *theta)
+void run(int n, const double *u, const double *y, double *theta, double *reported);
+void run(int n, const double *u, const double *y, double *theta, double *reported)
 {
     NAME_state s;
     NAME_adaptation a;
@@ -244,6 +245,8 @@ void run(int n, const double *u, const double *y, double *theta)
     NAME_adapt_begin(&a, &s);
     for (t = 0; t < n; t++) {
         NAME_adapt(&a, &u[t * UPPER_INPUTS], &y[t * UPPER_COMPUTED], &out);
+        for (k = 0; k < UPPER_REPORTED; k++)
+            reported[t * UPPER_REPORTED + k] = out.reported[k];
     }
     COPIES
 }

@@ -1,11 +1,14 @@
-"""The verb `export_adaptation`: C of a model that learns while it runs, proven."""
+"""The verb `export_adaptation`: a model that learns while it runs, as C and as FMU,
+proven."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.exporters import (
@@ -14,9 +17,12 @@ from jaxnarx.exporters import (
     AdaptiveProgram,
     Exported,
     ExportError,
+    Runner,
     adaptation_runner,
     adaptive_files,
     export,
+    fmu_runner,
+    learning_fmu,
     lower,
     write_files,
 )
@@ -27,6 +33,8 @@ from jaxnarx.models import Network, looks_back
 from jaxnarx.settings import Recursive
 from jaxnarx.simulation import make_masks, match_records
 
+VERSIONS = {"fmu2": 2, "fmu3": 3}
+"""Versions of FMI by target."""
 TOLERANCE = 1e-9
 """Largest difference of a coefficient, in shares of the largest of its output."""
 
@@ -38,8 +46,9 @@ def export_adaptation(
     method: Recursive | None = None,
     *,
     name: str = "model",
+    to: Sequence[str] = ("c",),
 ) -> Exported:
-    """Export the network as C99 that goes on learning as `adapt` does.
+    """Export the network as C99, or FMU, that goes on learning as `adapt` does.
 
     Beside the header, source and self-test of `jnx.export` stand `NAME_adapt.h` and
     `NAME_adapt.c`: `NAME_adapt(&a, u, y, &out)` in place of `NAME_step` takes the
@@ -49,6 +58,12 @@ def export_adaptation(
     those of `adapt`; `ExportError` where one differs by more than 1e-9 of its output's
     largest.
 
+    An FMU has the measured outputs as inputs `measured.NAME` (NaN where one is
+    missing), an input `learn`, 1 while it is to learn, and the outputs `rmse.NAME`,
+    `rmse_start.NAME`, `drift.NAME` and `undone.NAME` of the last window. What it has
+    learnt is a part of its state, which is got, set and serialised. Its reported
+    outputs are compared with those of the C.
+
     Args:
         network: The model, as `adapt` takes it, with one group of local models for
             every output (no sum of models).
@@ -56,10 +71,12 @@ def export_adaptation(
             begin with a complete history.
         method: The settings of `adapt`.
         name: Name of the files and their functions.
+        to: `"c"`, `"fmu2"`, `"fmu3"`; the C files are there in any case.
 
     Returns:
         The files, for double precision; `difference` has that of the coefficients as
-        `"c, adaptation"`, `program` is that of the model alone.
+        `"c, adaptation"`, and of the outputs of an FMU, in trained ranges, as
+        `"fmu3, adaptation"`; `program` is that of the model alone.
 
     Example:
         found = jnx.linear.export_adaptation(network, data, name="NOx")
@@ -77,21 +94,39 @@ def export_adaptation(
                 field="network",
             )
     _require_terms(network)
+    unknown = sorted(set(to) - {"c", *VERSIONS})
+    require(
+        not unknown,
+        "to",
+        f"to holds {', '.join(map(repr, unknown))}; what learns is written as c, fmu2 "
+        "or fmu3",
+    )
     records = _whole_records(network, match_records(network, data), method)
     found = export(network, data, to=["c"], name=name, precision=ONLY_DOUBLE)
     adaptive = adaptive_program(network, method, name)
     files = adaptive_files(adaptive)
+    code = {**found.files, **files}
+    difference = dict(found.difference)
     with TemporaryFolder() as place:
-        write_files(Path(place), {**found.files, **files})
+        write_files(Path(place), code)
         run = adaptation_runner(Path(place), adaptive)
         every = [_difference(network, method, adaptive, run, one) for one in records]
-    worst = float(np.max(every))
-    if not worst <= TOLERANCE:
-        raise ExportError(
-            f"coefficients that the C has learnt differ from those of adapt by "
-            f"{worst:.3g} of the largest, more than {TOLERANCE:g}"
-        )
-    difference = {**found.difference, "c, adaptation": worst}
+        worst = float(np.max(every))
+        if not worst <= TOLERANCE:
+            raise ExportError(
+                f"coefficients that the C has learnt differ from those of adapt by "
+                f"{worst:.3g} of the largest, more than {TOLERANCE:g}"
+            )
+        difference["c, adaptation"] = worst
+        for target in [name for name in VERSIONS if name in to]:
+            version = VERSIONS[target]
+            made = learning_fmu(found.program, code, version)
+            write_files(Path(place), made)
+            other = fmu_runner(Path(place), found.program, version, learns=True)
+            if other is not None:
+                every = [_outputs_apart(adaptive, run, other, one) for one in records]
+                difference[f"{target}, adaptation"] = float(np.max(every))
+            files |= made
     return dataclasses.replace(
         found, files={**found.files, **files}, difference=difference
     )
@@ -158,14 +193,7 @@ def _difference(
     """The largest difference of a coefficient behind a record."""
     program = adaptive.program
     expected = lower(adapt(network, data, method).value, program.name)
-    (record,) = data.records
-    names = data.channels.names
-    seen = np.where(record.valid, record.signals, np.nan)
-    inputs, outputs = (
-        seen[:, [names.index(port.name) for port in ports]]
-        for ports in (program.inputs, program.computed)
-    )
-    found = run(inputs, outputs)
+    found, _ = run(*_measured(adaptive, data))
     differences, at = [], 0
     for part in adaptive.parts:
         theta = expected.table(part.table).values.ravel()
@@ -173,3 +201,31 @@ def _difference(
         differences.append(np.max(np.abs(own - theta)) / np.max(np.abs(theta)))
         at += theta.size
     return float(np.max(differences))
+
+
+def _measured(adaptive: AdaptiveProgram, data: Dataset) -> tuple[np.ndarray, ...]:
+    """Inputs and outputs of the record, NaN where there is none."""
+    program, names = adaptive.program, data.channels.names
+    (record,) = data.records
+    seen = np.where(record.valid, record.signals, np.nan)
+    ports = program.inputs, program.computed
+    inputs, outputs = (seen[:, [names.index(p.name) for p in own]] for own in ports)
+    return inputs, outputs
+
+
+def _outputs_apart(
+    adaptive: AdaptiveProgram, run: AdaptationRunner, other: Runner, data: Dataset
+) -> float:
+    """The largest difference of what C and FMU report, in trained ranges; ExportError
+    where it is too large."""
+    program, measured = adaptive.program, _measured(adaptive, data)
+    _, expected = run(*measured)
+    width = np.array([port.high - port.low for port in program.reported])
+    apart = np.abs(other(*measured) - expected) / np.where(width > 0, width, 1.0)
+    worst = float(np.max(apart[program.history :]))
+    if not worst <= TOLERANCE:
+        raise ExportError(
+            f"outputs of the FMU that learns differ from those of the C by "
+            f"{worst:.3g} of their range, more than {TOLERANCE:g}"
+        )
+    return worst

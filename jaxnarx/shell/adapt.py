@@ -36,9 +36,12 @@ def adapt_model(command: Adapt) -> int:
     files = {}
     with about(command.model):
         found = adapt(network, data, method)
-        if command.c is not None:
-            made = export_adaptation(network, data, method, name=command.c)
-            files = dict(made.files)
+        if command.c is not None or command.fmu is not None:
+            to = ["c"] if command.fmu is None else [f"fmu{command.fmu}"]
+            name = command.c or "model"
+            files = dict(
+                export_adaptation(network, data, method, name=name, to=to).files
+            )
     told = {**load_about(command.model), "adapted to": ", ".join(command.files)}
     marks = [MODEL_FILE, WINDOWS_FILE, PAGE_FILE, *files]
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:

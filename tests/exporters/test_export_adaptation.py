@@ -1,5 +1,6 @@
 """C of a network that learns: what it learns is what `adapt` learns."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -77,8 +78,8 @@ def test_a_million_samples_of_one_level_neither_blow_up_nor_move(changed, tmp_pa
     y = np.zeros(len(u))
     for t in range(1, len(u)):
         y[t] = 0.8 * y[t - 1] + 0.5 * u[t - 1] + noise[t]
-    before = run(u[:TIME, None], y[:TIME, None])
-    after = run(u[:, None], y[:, None])
+    before, _ = run(u[:TIME, None], y[:TIME, None])
+    after, _ = run(u[:, None], y[:, None])
     np.testing.assert_allclose(after, before, atol=0.05)
 
 
@@ -137,3 +138,54 @@ def test_sums_and_short_records_are_refused(changed):
         export_adaptation(network, data, Recursive(window=1000))
     with pytest.raises(SpecError, match="sum of models"):
         export_adaptation(total([network, network], [1.0, 1.0]), data)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_learns_what_the_c_learns(changed, tmp_path, version):
+    """Compared in the proof, and driven here by another's importer: learning stops when
+    it is told to, and a state that is set again brings back what it had learnt."""
+    fmu_problems = pytest.importorskip("fmu_problems")
+    network, data = changed
+    method = Recursive(window=50)
+    target = f"fmu{version}"
+    found = export_adaptation(network, data, method, name="m", to=[target])
+    assert found.difference[f"{target}, adaptation"] < 1e-12
+    content = found.files[f"m_fmi{version}.fmu"]
+    place = fmu_problems.unpacked(content, tmp_path / "m")
+    model = fmu_problems.Importer(place)
+    assert not any(
+        getattr(model.about.coSimulation, name)
+        for name in ("providesDirectionalDerivative", "providesAdjointDerivatives")
+        if hasattr(model.about.coSimulation, name)
+    )
+    (record,) = data.records
+    step, (name,) = float(network.sample_time), network.channels.input_names
+    told = [f"{k}.y" for k in ("rmse", "rmse_start", "drift", "undone")]
+    rows = np.column_stack([record.signals, np.ones(len(record))])
+    model.enter()
+    model.set([name, "measured.y", "learn"], rows[0])
+    model.leave()
+    for t in range(150):
+        model.set([name, "measured.y", "learn"], rows[t])
+        model.step(t * step, step)
+    part = dataclasses.replace(data, records=(record.part(0, 150),))
+    few = adapt(network, part, method).stats
+    expected = [few[k][-1, 0] for k in ("rmse", "rmse_start", "drift")]
+    np.testing.assert_allclose(model.get(*told)[:3], expected, rtol=1e-9)
+    kept, ahead = model.own.getFMUState(), []
+    for learn in (1.0, 0.0, 1.0):
+        model.own.setFMUState(kept)
+        for t in range(150, 200):
+            model.set([name, "measured.y", "learn"], [*rows[t, :2], learn])
+            model.step(t * step, step)
+        ahead.append(model.get("y", *told))
+    assert ahead[0] == ahead[2] != ahead[1]
+    # A window without learning tells what the last one told.
+    np.testing.assert_allclose(ahead[1][1:4], expected, rtol=1e-9)
+    model.own.freeFMUState(kept)
+    model.end()
+
+
+def test_what_learns_is_written_as_c_and_fmu_alone(changed):
+    with pytest.raises(SpecError, match="'casadi'.*c, fmu2 or fmu3"):
+        export_adaptation(*changed, to=["casadi"])

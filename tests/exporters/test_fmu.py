@@ -17,7 +17,7 @@ import pytest
 from common import some
 
 from jaxnarx.data import Channel, Channels, Dataset
-from jaxnarx.exporters import ExportError, Instance, export, lower
+from jaxnarx.exporters import ExportError, Instance, c99, export, lower
 from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
 from jaxnarx.exporters.fmu import pack
 from jaxnarx.exporters.interpret import STARTS
@@ -113,7 +113,7 @@ def description_only(net: Network, version: int, path: Path) -> Path:
     program = lower(net)
     none = np.zeros((1, 0))
     golden = {"inputs": none, "measured": none, "outputs": none}
-    parts = pack.contents(program, golden, version)
+    parts = pack.contents(program, c99.sources(program, golden), version)
     path.write_bytes(pack.archive(parts))
     return path
 

@@ -32,7 +32,7 @@ def jaxnarx(place, typed):
 
 
 def test_the_model_follows_and_its_windows_are_told(jaxnarx, place):
-    line = "model.safetensors new.csv --out done --start 1 --c unit"
+    line = "model.safetensors new.csv --out done --start 1 --c unit --fmu 3"
     code, out, err = jaxnarx(line)
     assert code == 0, err
     assert "y: error 0.0" in out and "by the model as it began" in out
@@ -46,6 +46,7 @@ def test_the_model_follows_and_its_windows_are_told(jaxnarx, place):
     page = (place / "done" / "report.html").read_text()
     assert "<svg" in page and "as it began" in page and "<script" not in page
     assert (place / "done" / "unit_adapt.c").exists()
+    assert (place / "done" / "unit_fmi3.fmu").exists()
     code, out, err = jaxnarx(line)
     assert code == 2 and "--force" in err
 
@@ -56,6 +57,7 @@ def test_the_model_follows_and_its_windows_are_told(jaxnarx, place):
         ("model.safetensors", 2, "give data files"),
         ("model.safetensors none.csv", 3, "there is no such file"),
         ("model.safetensors new.csv --forgetting 2", 2, "--forgetting must lie"),
+        ("model.safetensors new.csv --fmu 4", 2, "--fmu"),
         ("model.safetensors new.csv --window 1000 --c m", 3, "window of 1000"),
     ],
 )

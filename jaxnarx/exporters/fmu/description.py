@@ -18,8 +18,11 @@ def fmi2(
     variables: Sequence[Quantity],
     token: str,
     sources: Sequence[str],
+    *,
+    slopes: bool = True,
 ) -> str:
-    """modelDescription.xml of FMI 2.0; places there count from one."""
+    """modelDescription.xml of FMI 2.0; places there count from one. `slopes`: with
+    derivatives."""
     root = _root(program, "2.0", guid=token)
     unit = ET.SubElement(
         root,
@@ -29,7 +32,7 @@ def fmi2(
         canNotUseMemoryManagementFunctions="true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
-        providesDirectionalDerivative="true",
+        providesDirectionalDerivative=str(slopes).lower(),
     )
     files = ET.SubElement(unit, "SourceFiles")
     for name in sources:
@@ -58,8 +61,14 @@ def fmi2(
     return _text(root)
 
 
-def fmi3(program: SampleProgram, variables: Sequence[Quantity], token: str) -> str:
-    """modelDescription.xml of FMI 3.0."""
+def fmi3(
+    program: SampleProgram,
+    variables: Sequence[Quantity],
+    token: str,
+    *,
+    slopes: bool = True,
+) -> str:
+    """modelDescription.xml of FMI 3.0; `slopes`: with derivatives."""
     root = _root(program, "3.0", instantiationToken=token)
     ET.SubElement(
         root,
@@ -70,8 +79,8 @@ def fmi3(program: SampleProgram, variables: Sequence[Quantity], token: str) -> s
         hasEventMode="true",
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
-        providesDirectionalDerivatives="true",
-        providesAdjointDerivatives="true",
+        providesDirectionalDerivatives=str(slopes).lower(),
+        providesAdjointDerivatives=str(slopes).lower(),
     )
     _units(root, variables)
     own = ET.SubElement(ET.SubElement(root, "TypeDefinitions"), "EnumerationType")

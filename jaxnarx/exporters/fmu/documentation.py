@@ -33,16 +33,30 @@ takes (in event mode, of the sample at hand). Where an output is held at a bound
 are zero."""
 STATE_TEXT = """State is got, set and serialised as a whole, time and inputs included;
 what was serialised by another model is refused."""
+LEARNING_TEXT = """While <code>learn</code> is 1 the coefficients follow the engine by
+recursive least squares: every sample that is taken learns from
+<code>measured.*</code> as it is set then, NaN where an output is not measured, and
+from nothing outside of the domain. Until a history of complete samples has been seen
+the run goes by the measured outputs. <code>rmse.*</code> and the values beside are of
+the last whole window. The coefficients are a part of the state, which is got, set and
+serialised; derivatives are not provided."""
 SOURCES_TEXT = """For another platform, compile the files of <code>sources</code> as C99
 into a shared library, with the mathematical library. Linked statically, define
 <code>FMI{version}_FUNCTION_PREFIX</code> as <code>{name}_</code>."""
 
 
-def page(program: SampleProgram, variables: Sequence[Quantity], version: int) -> str:
-    """The page."""
+def page(
+    program: SampleProgram,
+    variables: Sequence[Quantity],
+    version: int,
+    *,
+    learns: bool = False,
+) -> str:
+    """The page; `learns`: of a model whose coefficients follow the engine."""
     texts = [SAMPLES_TEXT.format(step=f"{program.sample_time:g}"), INITIAL_TEXT]
     texts += [EVENTS_TEXT] if version == 3 else []
-    texts += [DELAY_TEXT, STEPS_TEXT, SLOPES_TEXT, STATE_TEXT]
+    texts += [DELAY_TEXT, STEPS_TEXT, LEARNING_TEXT if learns else SLOPES_TEXT]
+    texts += [STATE_TEXT]
     texts += [escape(note) for note in program.notes]
     texts += [SOURCES_TEXT.format(version=version, name=program.name)]
     starts = "".join(f"<li><code>{k}</code>: {v}</li>\n" for k, v in STARTS.items())

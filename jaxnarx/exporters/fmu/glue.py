@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from importlib import resources
 
 from jaxnarx.exporters.code import digits
-from jaxnarx.exporters.fmu.variables import Quantity, past_gains
+from jaxnarx.exporters.fmu.variables import LEARNT_TEXTS, Quantity, past_gains
 from jaxnarx.exporters.form import SampleProgram
 
 
@@ -20,7 +20,12 @@ def read_template(file: str, program: SampleProgram | None = None) -> str:
 
 
 def wrapper(
-    program: SampleProgram, variables: Sequence[Quantity], token: str, version: int
+    program: SampleProgram,
+    variables: Sequence[Quantity],
+    token: str,
+    version: int,
+    *,
+    learns: bool = False,
 ) -> str:
     """The source that has the functions of FMI."""
     files = ["unit.c", "fmi2.c"] if version == 2 else ["unit.c", "fmi3.c"]
@@ -28,7 +33,7 @@ def wrapper(
     head = [
         f"/* FMI {version}.0 for {program.name}.",
         " * SPDX-License-Identifier: Apache-2.0 */",
-        f'#include "{program.name}.h"',
+        f'#include "{program.name}{"_adapt" if learns else ""}.h"',
         f'#include "fmi{version}Functions.h"',
         "",
         "#include <float.h>",
@@ -38,19 +43,26 @@ def wrapper(
         "#include <stdlib.h>",
         "#include <string.h>",
         "",
-        *_definitions(program, variables, token, version),
+        *_definitions(program, variables, token, version, learns),
+        read_template("learns.c" if learns else "fixed.c", program),
     ]
     return "\n".join([*head, *(read_template(file, program) for file in files)])
 
 
 def _definitions(
-    program: SampleProgram, variables: Sequence[Quantity], token: str, version: int
+    program: SampleProgram,
+    variables: Sequence[Quantity],
+    token: str,
+    version: int,
+    learns: bool,
 ) -> list[str]:
     name, upper = program.name, program.name.upper()
+    outputs = len(program.reported)
     counts = {
-        "INPUT": len(program.inputs),
-        "REPORTED": len(program.reported),
+        "INPUT": len(program.inputs) + (outputs + 1 if learns else 0),
+        "REPORTED": outputs,
         "FLAG": len(program.flags),
+        "LEARNT": len(LEARNT_TEXTS) * outputs if learns else 0,
         "LIMITED": len(program.limited),
         "PAST": len(program.past),
         "START": 1 + program.history * (len(program.inputs) + len(program.computed)),
@@ -60,7 +72,7 @@ def _definitions(
         places.append(f"#define FMI_AT_{what} {place}u")
         place += count
     values = [v.start or 0.0 for v in variables]
-    starts = values[: len(program.inputs)]
+    starts = values[: counts["INPUT"]]
     lags = values[place - counts["START"] + 1 : place]
     flags = [
         f"    v[{k}] = (double)out->{flag};" for k, flag in enumerate(program.flags)
@@ -78,11 +90,13 @@ def _definitions(
         f"#define FMI_AT_TIME {place}u",
         f"#define HAS_TIME {int(version == 3)}",
         f"#define FLAGS {len(program.flags)}",
+        f"#define LEARNS {int(learns)}",
+        f"#define LEARNT {counts['LEARNT']}",
         f"#define PAST {upper}_PAST",
         f"#define LAGS {len(lags)}",
         f"#define ROWS {max(program.history, 1)}",
         "",
-        _numbers(f"fmi_input_starts[{upper}_INPUTS]", starts),
+        _numbers("fmi_input_starts[FMI_AT_REPORTED]", starts),
         _numbers("fmi_lag_starts[LAGS + 1]", [*lags, 0.0]),
         _numbers("fmi_past_gains[PAST + 1]", [*gains, 1.0]),
         "",

@@ -36,7 +36,20 @@ def fmu(version: int) -> Callable[[SampleProgram, Golden], Files]:
 
 
 def _pack_files(program: SampleProgram, golden: Golden, *, version: int) -> Files:
-    parts = contents(program, golden, version)
+    if program.precision == ONLY_SINGLE:  # the binary is of double
+        program = dataclasses.replace(program, precision=BOTH)
+    return _pack(
+        program, contents(program, c99.sources(program, golden), version), version
+    )
+
+
+def learning_fmu(program: SampleProgram, code: Files, version: int) -> Files:
+    """An FMU whose coefficients follow the engine; `code` is that of the model and what
+    learns (`jaxnarx.exporters.c_adapt`)."""
+    return _pack(program, contents(program, code, version, learns=True), version)
+
+
+def _pack(program: SampleProgram, parts: dict[str, str], version: int) -> Files:
     made = binary(program, parts, version)
     return {archive_name(program, version): archive(parts | made)}
 
@@ -46,34 +59,39 @@ def archive_name(program: SampleProgram, version: int) -> str:
     return f"{program.name}_fmi{version}.fmu"
 
 
-def contents(program: SampleProgram, golden: Golden, version: int) -> dict[str, str]:
+def contents(
+    program: SampleProgram, code: Files, version: int, *, learns: bool = False
+) -> dict[str, str]:
     """Everything but a binary, by its place in the archive."""
     name = program.name
-    variables = quantities(program, version)
-    if program.precision == ONLY_SINGLE:  # the binary is of double
-        program = dataclasses.replace(program, precision=BOTH)
-    code = c99.sources(program, golden)
-    whole = "".join(
-        map(str, [*code.values(), variables, read_template("unit.c"), version])
-    )
+    variables = quantities(program, version, learns=learns)
+    texts = [*code.values(), variables, read_template("unit.c"), version]
+    whole = "".join(map(str, texts))
     token = f"{{{uuid.UUID(bytes=hashlib.sha256(as_bytes(whole)).digest()[:16])}}}"
     sources = [f"{name}.c", f"{name}_fmi{version}.c"]
+    files = [f"{name}.h", f"{name}.c"]
+    if learns:
+        files += [f"{name}_adapt.h", f"{name}_adapt.c"]
+        sources.append(f"{name}_adapt.c")
     found = {
-        f"sources/{name}.h": str(code[f"{name}.h"]),
-        f"sources/{name}.c": str(code[f"{name}.c"]),
-        f"sources/{sources[1]}": wrapper(program, variables, token, version),
-        "documentation/index.html": page(program, variables, version),
+        **{f"sources/{file}": str(code[file]) for file in files},
+        f"sources/{sources[1]}": wrapper(
+            program, variables, token, version, learns=learns
+        ),
+        "documentation/index.html": page(program, variables, version, learns=learns),
         "documentation/licenses/license.txt": LICENCE_NOTE,
     }
     if version == 2:
-        about = description.fmi2(program, variables, token, sources)
+        about = description.fmi2(program, variables, token, sources, slopes=not learns)
         return {
             "modelDescription.xml": about,
             **found,
             "sources/fmi2Functions.h": read_template("fmi2Functions.h"),
         }
     return {
-        "modelDescription.xml": description.fmi3(program, variables, token),
+        "modelDescription.xml": description.fmi3(
+            program, variables, token, slopes=not learns
+        ),
         **found,
         "sources/buildDescription.xml": description.build(program, sources),
     }
@@ -100,10 +118,11 @@ def binary(
     if place is None or not found:
         return {}
     with TemporaryFolder() as folder:
-        for name, text in list_sources(parts).items():
+        sources = list_sources(parts)
+        for name, text in sources.items():
             Path(folder, name).write_bytes(as_bytes(text))
         Path(folder, "fmi3Functions.h").write_text(read_template("fmi3Functions.h"))
-        own = [f"{program.name}.c", f"{program.name}_fmi{version}.c"]
+        own = [name for name in sources if name.endswith(".c")]
         library = Path(folder, Path(place).name)
         command = [found[0], *WARNING_FLAGS, "-O2", "-fPIC", "-shared"]
         command += ["-fvisibility=hidden", *own, "-lm", "-o", str(library)]

@@ -39,9 +39,12 @@ def _proven(
     }, []
 
 
-def fmu_runner(folder: Path, program: SampleProgram, version: int) -> Runner | None:
+def fmu_runner(
+    folder: Path, program: SampleProgram, version: int, *, learns: bool = False
+) -> Runner | None:
     """Runs the binary in the archive of `folder`, from measured history; None where it
-    has none for this machine."""
+    has none for this machine. One that `learns` runs over all samples, from the first
+    one repeated, and learns from all of them."""
     place = place_of_binary(program.name, version)
     with zipfile.ZipFile(folder / archive_name(program, version)) as packed:
         if place is None or place not in packed.namelist():
@@ -52,18 +55,21 @@ def fmu_runner(folder: Path, program: SampleProgram, version: int) -> Runner | N
         root = ET.fromstring(packed.read("modelDescription.xml"))
     token = root.get("guid") or root.get("instantiationToken") or ""
     call = _loop(library.parent, version).run
-    inputs, reported = len(program.inputs), len(program.reported)
-    start = [v.kind for v in quantities(program, version)].index("choice")
+    reported = len(program.reported)
+    kinds = [v.kind for v in quantities(program, version, learns=learns)]
+    start = kinds.index("choice")
 
     def run(u: np.ndarray, y: np.ndarray) -> np.ndarray:
-        past = slice(0, program.history)
+        past, rows = np.arange(program.history), u[program.history :]
+        if learns:
+            past, rows = 0 * past, np.column_stack([u, y, np.ones(len(u))])
         lags = np.concatenate([u[past][::-1].T, y[past][::-1].T]).ravel()
-        rows = np.ascontiguousarray(u[program.history :], float)
+        rows = np.ascontiguousarray(rows, float)
         out = np.zeros((len(rows), reported))
         failed = call(
             str(library).encode(),
             token.encode(),
-            (ctypes.c_long * 5)(len(rows), inputs, reported, start, lags.size),
+            (ctypes.c_long * 5)(*rows.shape, reported, start, lags.size),
             ctypes.c_double(program.sample_time),
             *(a.ctypes.data_as(ctypes.c_void_p) for a in (lags, rows, out)),
         )

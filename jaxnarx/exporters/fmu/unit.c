@@ -17,10 +17,10 @@ typedef struct {
     int kind;
     int fresh; /* whether `next` and `now` belong to the sample that is due */
     int rests;
-    double u[UPPER_INPUTS];
+    double u[FMI_AT_REPORTED]; /* inputs; of one that learns measured outputs too */
     double lag[LAGS + 1];
-    NAME_state past; /* before the sample that is due */
-    NAME_state next; /* behind it */
+    memory past; /* before the sample that is due */
+    memory next; /* behind it */
     NAME_out now;
 } unit;
 
@@ -55,9 +55,12 @@ static void fmi_unit_start(unit *m, const NAME_real *now)
     size_t t;
     size_t k;
     memset(y, 0, sizeof(y));
+    NAME_state begun;
+    memset(&begun, 0, sizeof(begun));
     if (m->kind != UPPER_GIVEN || LAGS == 0) {
         /* without a past the first inputs are all there is */
-        m->rests = NAME_start(&m->past, m->kind, now, y) != 1;
+        m->rests = NAME_start(&begun, m->kind, now, y) != 1;
+        begin_memory(&m->past, &begun);
         return;
     }
     for (t = ROWS; t > 0; t--) {
@@ -68,10 +71,11 @@ static void fmi_unit_start(unit *m, const NAME_real *now)
             y[k] = (NAME_real)m->lag[(UPPER_INPUTS + k) * ROWS + t - 1];
         }
         if (t == ROWS) {
-            (void)NAME_start(&m->past, m->kind, u, y);
+            (void)NAME_start(&begun, m->kind, u, y);
         }
-        NAME_observe(&m->past, u, y);
+        NAME_observe(&begun, u, y);
     }
+    begin_memory(&m->past, &begun);
 }
 
 /* The sample that is due, with the inputs as they are set. */
@@ -86,7 +90,7 @@ static void fmi_unit_evaluate(unit *m)
         fmi_unit_start(m, u);
     }
     m->next = m->past;
-    NAME_step(&m->next, u, &m->now);
+    take_sample(&m->next, u, &m->u[UPPER_INPUTS], &m->now);
     m->fresh = 1;
 }
 
@@ -128,7 +132,7 @@ static void fmi_unit_take(unit *m, int64_t steps)
         n = 1;
     }
     for (; n < steps; n++) {
-        NAME_step(&m->past, u, &m->now);
+        take_sample(&m->past, u, &m->u[UPPER_INPUTS], &m->now);
     }
     m->samples += steps;
     m->fresh = 0;
@@ -158,13 +162,17 @@ static int fmi_unit_get_real(unit *m, unsigned int at, double *value)
     }
     if (at < FMI_AT_FLAG) {
         *value = (double)m->now.reported[at - FMI_AT_REPORTED];
-    } else if (at < FMI_AT_LIMITED) {
+    } else if (at < FMI_AT_LEARNT) {
         double flag[FLAGS + 1];
         fmi_unit_flags(&m->now, flag);
         *value = flag[at - FMI_AT_FLAG];
+    } else if (at < FMI_AT_LIMITED) {
+        double learnt[LEARNT + 1];
+        fmi_unit_learnt(m->phase <= EVENT ? &m->next : &m->past, learnt);
+        *value = learnt[at - FMI_AT_LEARNT];
     } else {
         double past[PAST + 1];
-        fmi_unit_past(&m->past, past);
+        fmi_unit_past(run_of(&m->past), past);
         *value = past[at - FMI_AT_PAST];
     }
     return 1;
@@ -228,8 +236,8 @@ static void fmi_unit_slopes(unit *m, double *slope)
         fmi_unit_evaluate(m);
     }
     fmi_unit_inputs(m, u);
-    NAME_jacobian(&m->past, u, raw);
-    next = m->past;
+    next = *run_of(&m->past);
+    NAME_jacobian(&next, u, raw);
     NAME_step(&next, u, &out);
     for (o = 0; o < UPPER_REPORTED; o++) {
         /* what is held at the edge of its range does not move */
@@ -264,6 +272,9 @@ static int fmi_unit_derivative(unit *m, const unsigned int *unknowns, size_t out
     double slope[UPPER_REPORTED * (UPPER_INPUTS + PAST)];
     size_t o;
     size_t k;
+    if (LEARNS) {
+        return 0;
+    }
     for (o = 0; o < outputs; o++) {
         if (unknowns[o] < FMI_AT_REPORTED || unknowns[o] >= FMI_AT_FLAG) {
             return 0;

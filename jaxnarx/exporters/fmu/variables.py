@@ -1,7 +1,8 @@
 """The variables of an FMU: what an importer sees of a program, in order.
 
-A value's reference is its place here: inputs, reported outputs, flags, whether bounds
-acted, past outputs, the choice of a start, and values given from before it.
+A value's reference is its place here: inputs, those that a model learns from, reported
+outputs, flags, what has been learnt, whether bounds acted, past outputs, the choice of
+a start, and values given from before it.
 """
 
 import dataclasses
@@ -17,6 +18,14 @@ FLAG_TEXTS = {
     "invalid": "1: an input has been missing for too long, or since the start",
 }
 """Descriptions of the flags."""
+LEARNT_TEXTS = {
+    "rmse": "error of the last window of samples",
+    "rmse_start": "the same of the model as it began",
+    "drift": "difference of the two models over that window",
+    "undone": "windows whose learning made the error grow, and was undone",
+}
+"""Descriptions of what is told of every output of a model that learns."""
+LEARN_TEXT = "1: learn from the measured outputs, as they are set"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,8 +42,11 @@ class Quantity:
     sees: tuple[int, ...] = ()
 
 
-def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
-    """All of them; FMI 3.0 wants time among them."""
+def quantities(
+    program: SampleProgram, version: int, *, learns: bool = False
+) -> tuple[Quantity, ...]:
+    """All of them, of a model that `learns` also what it learns from; FMI 3.0 wants
+    time among them."""
     taken: set[str] = set()
 
     def name(text: str) -> str:
@@ -51,12 +63,37 @@ def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
         Quantity(name(p.name), "real", "input", _describe_range(p), p.unit, _middle(p))
         for p in program.inputs
     ]
+    followed = program.reported if learns else ()
+    measured = [
+        Quantity(
+            name(f"measured.{p.name}"),
+            "real",
+            "input",
+            f"{p.name} as it is measured now; NaN where it is not",
+            p.unit,
+            _middle(p),
+        )
+        for p in followed
+    ]
+    if learns:
+        measured.append(Quantity(name("learn"), "real", "input", LEARN_TEXT, "", 0.0))
     reported = [
         output(name(p.name), n, "real", _describe_range(p), p.unit)
         for p, n in zip(program.reported, program.outputs, strict=True)
     ]
     flags = [
         output(name(flag), n, "real", _flag(flag)) for flag, n in program.flags.items()
+    ]
+    learnt = [
+        Quantity(
+            name(f"{kind}.{p.name}"),
+            "real",
+            "output",
+            f"{p.name}: {text}",
+            "" if kind == "undone" else p.unit,
+        )
+        for p in followed
+        for kind, text in LEARNT_TEXTS.items()
     ]
     limited = [
         output(name(f"limited.{p.name}"), n, "boolean", f"{LIMITED_TEXT} {p.name}")
@@ -88,7 +125,8 @@ def quantities(program: SampleProgram, version: int) -> tuple[Quantity, ...]:
         for k in range(program.history)
     ]
     time = Quantity(name("time"), "time", "independent", "time", "s")
-    found = (*inputs, *reported, *flags, *limited, *past, choice, *lags)
+    own = (*inputs, *measured, *reported, *flags, *learnt)
+    found = (*own, *limited, *past, choice, *lags)
     return (*found, time) if version == 3 else found
 
 

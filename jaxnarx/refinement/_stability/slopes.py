@@ -53,13 +53,16 @@ class GatedSlopes:
 
     @classmethod
     def of(cls, network: Network) -> "GatedSlopes | None":
-        """None where what a gate opens, or what multiplies a past output, moves."""
+        """None where what a gate opens, or what multiplies a past output, moves, or
+        where weights are not those of gates."""
         shape = len(network.models), depth(network)
         own = fed_back_variables(network.variables, network.signals)
         place = {row + 1: (o, lag) for row, o, lag in own}
         beside, added = np.zeros((shape[0], *shape)), []
         gain = np.asarray(network.gain, float)
         for o, model in enumerate(network.models):
+            if not isinstance(model.validity, AdditiveGates):
+                return None
             dense = np.where(
                 np.asarray(model.active)[:, None], np.asarray(model.local.dense()), 0.0
             )

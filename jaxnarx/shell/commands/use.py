@@ -203,7 +203,8 @@ class Adapt:
     value is missing or the inputs are outside of the model's domain, and a window that
     makes the error grow is undone. FOLDER receives model.safetensors, adaptation.csv
     (by window the error, that of the model as it began, and how far it has drifted) and
-    report.html; with --c also C files of a model that goes on learning so.
+    report.html; with --c also C files, with --fmu an FMU, of a model that goes on
+    learning so.
 
     Example:
         jaxnarx adapt runs/engine/model.safetensors new_run.csv --out adapted
@@ -232,6 +233,9 @@ class Adapt:
     """Index of the model's domain up to which samples are learnt from (default 1)."""
     c: Annotated[str | None, optional("NAME")] = None
     """Write NAME.c and NAME_adapt.c: the model as it was, that learns on its unit."""
+    fmu: Literal["2", "3"] | None = None
+    """Write an FMU of this version of FMI that learns so; with the files of
+    --c, named model without."""
     force: Flag = False
     """Overwrite files of an earlier run."""
 
