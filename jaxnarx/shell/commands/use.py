@@ -233,8 +233,8 @@ class Adapt:
     """Index of the model's domain up to which samples are learnt from (default 1)."""
     c: Annotated[str | None, optional("NAME")] = None
     """Write NAME.c and NAME_adapt.c: the model as it was, that learns on its unit."""
-    fmu: Literal["2", "3"] | None = None
-    """Write an FMU of this version of FMI that learns so; with the files of
+    fmu: Annotated[int | None, optional("VERSION")] = None
+    """Write an FMU of this version of FMI, 2 or 3, that learns so; with the files of
     --c, named model without."""
     force: Flag = False
     """Overwrite files of an earlier run."""

@@ -1,0 +1,94 @@
+"""The verb `tune_effort`: what a controller's moves have to cost, tried on plants."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.checks import require
+from jaxnarx.control._close_loop import close_loop
+from jaxnarx.control.controller import Controller
+from jaxnarx.data import Dataset
+from jaxnarx.solution import RESULTS, Solution
+
+FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+EQUAL_SHARE = 0.05
+"""Share of the least error within which the largest effort is taken."""
+SKIPPED = 20
+"""Samples at the begin of a run that do not count."""
+
+
+@guard_arguments
+def tune_effort(
+    controller: Controller,
+    plants: Sequence[Any],
+    references: Dataset,
+    *,
+    factors: Sequence[float] = FACTORS,
+    **loop: Any,
+) -> Solution[Controller]:
+    """The controller with efforts that serve several plants.
+
+    A controller whose model is a little wrong swings where its moves cost too little,
+    and is slow where they cost too much. Its efforts are multiplied by every factor in
+    turn, and it is run against every plant: networks as they might as well have been
+    (`jnx.confidence.jackknife`), sister engines, or the network itself. What counts is
+    the tracking error, the mean of the targets' NRMSE, of the worst plant; of factors
+    within 5 % of the least the largest is taken, for its commands are the calmest.
+
+    Args:
+        controller: From `jnx.control.mpc`.
+        plants: As `close_loop` takes them, at least one. Networks of one structure
+            share one program.
+        references: Records that it is run over, as `close_loop` takes them; the first
+            20 samples of each do not count.
+        factors: What efforts are multiplied by.
+        loop: Other arguments of `close_loop`: preview, noise, seed, every, start.
+
+    Returns:
+        `value` is the controller. `stats`: `factor`, the one that was taken; `factors`;
+        `nrmse`, of every factor, plant and target, infinite where the loop diverges.
+        Status `ok`; `diverged` where with every factor some plant diverges: the
+        controller is the given one then.
+
+    Raises:
+        SpecError: no plant, or a factor that is not positive; what `close_loop` raises.
+
+    Example:
+        free = {"a": jnx.control.Command(rate=2.0)}
+        controller = jnx.control.mpc(network, free, ["y"], horizon=8).value
+        tuned = jnx.control.tune_effort(controller, [network], data, factors=(1.0, 3.0))
+        print(tuned.stats["factor"])
+    """
+    tried = np.array(sorted(factors), float)
+    require(len(plants) > 0, "plants", "efforts are tuned against a plant at least")
+    require(
+        len(tried) > 0 and bool(np.all(np.isfinite(tried) & (tried > 0))),
+        "factors",
+        f"factors must be positive and finite, got {tuple(factors)}",
+    )
+    errors = np.full((len(tried), len(plants), len(controller.target_names)), np.inf)
+    for k, factor in enumerate(tried):
+        one = _with_effort(controller, factor)
+        for n, plant in enumerate(plants):
+            run = close_loop(one, plant, references, **loop)
+            if run.is_okay:
+                errors[k, n] = run.value.nrmse(SKIPPED)
+    worst = errors.mean(axis=2).max(axis=1)
+    stats = {"factors": tried, "nrmse": errors, "factor": 1.0}
+    if not np.isfinite(worst).any():
+        told = "with every factor a loop diverges; the efforts are as they were"
+        return Solution(controller, RESULTS.diverged, stats, told)
+    near = np.flatnonzero(worst <= (1 + EQUAL_SHARE) * worst.min())
+    chosen = int(near.max())
+    stats["factor"] = float(tried[chosen])
+    told = (
+        f"efforts times {tried[chosen]:g}: tracking error {worst[chosen]:.3g} at worst"
+    )
+    return Solution(_with_effort(controller, tried[chosen]), RESULTS.ok, stats, told)
+
+
+def _with_effort(controller: Controller, factor: float) -> Controller:
+    return eqx.tree_at(lambda c: c.effort, controller, controller.effort * factor)

@@ -1,0 +1,77 @@
+"""Efforts of a controller, tuned against plants that differ from its model."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from control_problems import TIME, linear, shifted
+
+import jaxnarx as jnx
+from jaxnarx.control import Command, close_loop, mpc, tune_effort
+from jaxnarx.errors import SpecError
+
+FACTORS = (0.1, 1.0, 1e3, 1e4)
+
+
+@pytest.fixture(scope="module")
+def controller():
+    free = {"force": Command(effort=1e-3)}
+    return mpc(linear(), free, ["speed"], horizon=6).value
+
+
+@pytest.fixture(scope="module")
+def references():
+    """Steps of the speed; the load rests."""
+    random = np.random.default_rng(3)
+    y = np.repeat(random.uniform(-0.4, 0.4, (6, 2)), 20, axis=0)
+    return jnx.Dataset.from_arrays(
+        np.zeros((120, 2)),
+        y,
+        inputs=["force", "load"],
+        outputs=["speed", "heat"],
+        sample_time=TIME,
+    )
+
+
+def tracking(controller, plants, references) -> list[float]:
+    runs = [close_loop(controller, plant, references).value for plant in plants]
+    return [float(run.nrmse(20).mean()) for run in runs]
+
+
+def test_its_own_model_wants_cheap_moves_and_a_stronger_plant_dear_ones(
+    controller, references
+):
+    plants = [shifted(0.0), shifted(0.0, 2.0)]
+    own = tune_effort(controller, plants[:1], references, factors=FACTORS)
+    both = tune_effort(controller, plants, references, factors=FACTORS)
+    assert own.is_okay and both.is_okay
+    assert own.stats["factor"] < both.stats["factor"] < FACTORS[-1]
+    effort = controller.effort * both.stats["factor"]
+    np.testing.assert_allclose(both.value.effort, effort, rtol=1e-12)
+    # What it tells is what the loop does, of the chosen and of every other one.
+    assert both.stats["nrmse"].shape == (4, 2, 1)
+    at = list(FACTORS).index(both.stats["factor"])
+    found = tracking(both.value, plants, references)
+    np.testing.assert_allclose(both.stats["nrmse"][at, :, 0], found, rtol=1e-9)
+    worst = both.stats["nrmse"].mean(axis=2).max(axis=1)
+    assert worst[at] <= 1.05 * worst.min() and f"{worst[at]:.3g}" in both.detail
+    assert max(found) < max(tracking(controller, plants, references))
+
+
+def test_where_every_loop_diverges_it_says_so_and_changes_nothing(
+    controller, references
+):
+    broken = dataclasses.replace(shifted(0.0), shift=np.inf)
+    found = tune_effort(controller, [broken], references, factors=(1.0,))
+    assert found.status == jnx.RESULTS.diverged and "diverges" in found.detail
+    np.testing.assert_array_equal(found.value.effort, controller.effort)
+
+
+@pytest.mark.parametrize(
+    ("plants", "factors", "why"),
+    [([], FACTORS, "a plant"), ([1], (), "factors"), ([1], (0.0,), "positive")],
+)
+def test_what_is_wrong_is_said(controller, references, plants, factors, why):
+    plants = [linear() for _ in plants]
+    with pytest.raises(SpecError, match=why):
+        tune_effort(controller, plants, references, factors=factors)
