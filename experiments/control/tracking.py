@@ -14,12 +14,16 @@ of the references' own. Fuel is commanded as its inverse, of which lambda is lin
 Beside the engine that the records come from stand engines with every parameter off by
 about a tenth; and steps of constant references, of which the error that is left at
 their ends counts, in standard deviations of the references. Without a preview the
-controller knows references and other inputs of the present alone.
+controller knows references and other inputs of the present alone. With `--tuned` a
+second controller has efforts that `jnx.control.tune_effort` finds against the networks
+of the jackknife, over the references of the record left out.
 
     python experiments/control/tracking.py [--beds gtdi pfi] [--seeds 1 2 3 4 5]
+        [--models identify] [--tuned]
 """
 
 import argparse
+import functools
 import sys
 import time
 from collections.abc import Callable
@@ -144,6 +148,11 @@ class Bench:
         self.train, self.left = self.data(every[:-1]), self.data(every[-1:])
         self.network = jnx.confidence.fit_domain(self.fit(), self.train)
 
+    @functools.cached_property
+    def others(self) -> list[jnx.Network]:
+        """Networks that this one might as well have been."""
+        return jnx.confidence.jackknife(self.network, self.train).value
+
     def record(self, number: int, *, noise: float) -> tuple[np.ndarray, np.ndarray]:
         """Inputs and outputs of an excitation."""
         key = jax.random.fold_in(jax.random.key(self.seed), number)
@@ -217,7 +226,7 @@ def _smooth(x: np.ndarray) -> np.ndarray:
     return np.convolve(np.pad(x, (100, 100), mode="edge"), np.ones(201) / 201, "valid")
 
 
-def task_rows(bench: Bench, name: str, small: bool) -> dict[str, Any]:
+def task_rows(bench: Bench, name: str, small: bool, tuned: bool) -> dict[str, Any]:
     """All figures of one task."""
     commands, targets, limited = bench.bed.tasks[name]
     wanted = bench.data([bench.record(100, noise=0.0)])
@@ -232,10 +241,12 @@ def task_rows(bench: Bench, name: str, small: bool) -> dict[str, Any]:
     key = jax.random.key(bench.seed + 50)
     told: dict[str, Any] = {}
 
-    def drive(title: str, plant: AbstractPlant, asked: jnx.Dataset, **more: Any) -> Any:
-        begun = time.perf_counter()
+    def drive(
+        title: str, plant: AbstractPlant, asked: jnx.Dataset, own: Any = None, **more
+    ) -> Any:
+        begun, own = time.perf_counter(), controller if own is None else own
         run = jnx.control.close_loop(
-            controller, plant, asked, noise=bench.bed.noise, seed=bench.seed, **more
+            own, plant, asked, noise=bench.bed.noise, seed=bench.seed, **more
         )
         row = dict(zip(targets, run.value.nrmse(SKIPPED).tolist(), strict=True))
         if limits:
@@ -260,12 +271,22 @@ def task_rows(bench: Bench, name: str, small: bool) -> dict[str, Any]:
     drive("engine", bench.plant, wanted)
     drive("engine, again", bench.plant, wanted)  # compiled by now
     drive("without preview", bench.plant, wanted, preview=False)
+    calm = None
+    if tuned:
+        found = jnx.control.tune_effort(
+            controller, bench.others, bench.left, noise=bench.bed.noise
+        )
+        calm = found.value
+        drive("engine, efforts tuned", bench.plant, wanted, calm)
+        told["engine, efforts tuned"][-1]["factor"] = found.stats["factor"]
     run = drive("constant references", bench.plant, levels(bench, bench.plant))
     told["constant references"][-1] |= left(run)
     for n in range(1 if small else SISTERS):
         sister = bench.bed.make().perturb(jax.random.fold_in(key, n), SPREAD)
         plant = bench.bed.plant(sister)
         drive("sisters", plant, wanted)
+        if calm is not None:
+            drive("sisters, efforts tuned", plant, wanted, calm)
         run = drive("sisters, constant", plant, levels(bench, plant))
         told["sisters, constant"][-1] |= left(run)
     return told
@@ -297,6 +318,7 @@ def main() -> None:
     parser.add_argument("--beds", nargs="+", choices=BEDS, default=list(BEDS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4, 5])
     parser.add_argument("--models", choices=NAMES, default="quadratic")
+    parser.add_argument("--tuned", action="store_true", help="also with tuned efforts")
     parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
     parser.add_argument("--smoke", action="store_true", help="short records, one seed")
     options = parser.parse_args()
@@ -306,7 +328,7 @@ def main() -> None:
         for name in options.beds:
             bench = Bench(BEDS[name], seed, length, options.models)
             for task in bench.bed.tasks:
-                rows = task_rows(bench, task, options.smoke)
+                rows = task_rows(bench, task, options.smoke, options.tuned)
                 own = found.setdefault(f"{name}, {task}", {})
                 own[str(seed)] = {"free run": bench.errors(), "runs": rows}
                 print(name, task, seed, rows, flush=True)
