@@ -65,10 +65,16 @@ def calibration() -> str:
             )
         told.append(f"### {bed}\n\n{table(head, rows)}{source(path)}")
     path = RESULTS / "calibration_robust.json"
-    fleet = loaded(path)["figures"]["summary"]
-    names = list(next(iter(fleet.values())))
-    rows = [[title, *(number(one[n]) for n in names)] for title, one in fleet.items()]
-    shares = table(["bed, way, cycle", *names], rows)
+    found = loaded(path)["figures"]
+    fleet, names = found["summary"], list(next(iter(found["summary"].values())))
+    rows = []
+    for title, one in fleet.items():
+        bed, way = title.split(", ", 1)
+        seeds = [ways[way.rsplit(", ", 1)[0]] for ways in found["beds"][bed].values()]
+        kept = sum(run["status"] != "infeasible" for run in seeds)
+        cells = [number(one[n]) for n in names]
+        rows.append([title, f"{kept} of {len(seeds)}", *cells])
+    shares = table(["bed, way, cycle", "limits met on the models", *names], rows)
     return "\n".join([*told, f"### Fleets\n\n{shares}{source(path)}"])
 
 
