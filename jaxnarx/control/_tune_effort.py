@@ -11,6 +11,7 @@ from jaxnarx.checks import require
 from jaxnarx.control._close_loop import close_loop
 from jaxnarx.control.controller import Controller
 from jaxnarx.data import Dataset
+from jaxnarx.errors import DataError
 from jaxnarx.solution import RESULTS, Solution
 
 FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
@@ -55,6 +56,7 @@ def tune_effort(
 
     Raises:
         SpecError: no plant, or a factor that is not positive; what `close_loop` raises.
+        DataError: references that do not move behind the first samples.
 
     Example:
         free = {"a": jnx.control.Command(rate=2.0)}
@@ -74,8 +76,14 @@ def tune_effort(
         one = _with_effort(controller, factor)
         for n, plant in enumerate(plants):
             run = close_loop(one, plant, references, **loop)
-            if run.is_okay:
-                errors[k, n] = run.value.nrmse(SKIPPED)
+            if not run.is_okay:
+                continue
+            errors[k, n] = run.value.nrmse(SKIPPED)
+            if not np.isfinite(errors[k, n]).all():
+                raise DataError(
+                    "a target has a reference that does not move behind the first "
+                    f"{SKIPPED} samples of a record: its errors have no scale"
+                )
     worst = errors.mean(axis=2).max(axis=1)
     stats = {"factors": tried, "nrmse": errors, "factor": 1.0}
     if not np.isfinite(worst).any():

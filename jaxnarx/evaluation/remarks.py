@@ -236,6 +236,7 @@ def stability_values(value: Any) -> dict[str, Any] | None:
     return {
         "contracts": value.contracts,
         "certified": value.certificate is not None,
+        "bounded": value.bounded,
         "time_constant": value.time_constant,
         "summary": value.summary,
         "poles": value.poles,

@@ -160,6 +160,7 @@ def _header(adaptive: AdaptiveProgram) -> str:
         f"    {real} drift[{outputs}];",
         f"    int count[{outputs}];",
         f"    int undone[{outputs}];",
+        "    int learn; /* 0: coefficients stay; 1 from begin on */",
         "    int at;",
         "    int ready;",
         "    int begun;",
@@ -255,6 +256,7 @@ def _begin(adaptive: AdaptiveProgram) -> list[str]:
         f"    for (k = 0; k < {3 * len(adaptive.parts)}; k++) {{",
         "        a->sums[k] = 0.0;",
         "    }",
+        "    a->learn = 1;",
         "    a->at = 0;",
         "    a->ready = 0;",
         f"    a->begun = ({upper}_HISTORY == 0) ? 1 : 0;",
@@ -353,7 +355,8 @@ def _usable(adaptive: AdaptiveProgram, syntax: Syntax) -> list[str]:
         there = f"({inputs} && {measured})"
     if adaptive.past == SIMULATED:
         there = f"({inputs} && ((a->begun != 0) || {measured}))"
-    wanted = [f"(a->ready >= {upper}_HISTORY)", "(a->begun != 0)", inputs]
+    wanted = ["(a->learn != 0)", f"(a->ready >= {upper}_HISTORY)"]
+    wanted += ["(a->begun != 0)", inputs]
     if INDEX_FLAG in text and adaptive.method.largest_index is not None:
         largest = syntax.number(adaptive.method.largest_index)
         wanted.append(f"({text[INDEX_FLAG]} <= {largest})")

@@ -18,7 +18,7 @@ from jaxnarx.exporters.form import ParameterTable
 from jaxnarx.exporters.maps import REST_NAME
 from jaxnarx.exporters.parameters import OutputAt, network_tables
 from jaxnarx.models import STORED_PROBABILITIES, Network, require_consistent, set_bounds
-from jaxnarx.refinement import attach_certificate
+from jaxnarx.refinement import attach_certificate, stays_bounded
 
 
 @guard_arguments
@@ -150,7 +150,8 @@ def _block_error(
 def _renew_certificate(changed: Network) -> Network:
     """Drop what was known of the network that it was."""
     changed = dataclasses.replace(changed, errors=None)
-    if changed.certificate is None:
+    if changed.certificate is not None:
+        changed = attach_certificate(changed)
+    if changed.certificate is not None or not changed.released.any():
         return changed
-    proven = attach_certificate(changed)
-    return proven if proven.certificate is not None else set_bounds(proven)
+    return changed if stays_bounded(changed) else set_bounds(changed)

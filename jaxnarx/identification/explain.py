@@ -24,10 +24,11 @@ UNEVEN_FACTOR = 1.25
 OPERATION_DIGITS = 7
 """Behind the point; smaller figures are written with powers of ten."""
 RULE_WORDS = {
-    "near": "the cheapest to compute within one standard error of the best (that of "
+    "near": "the cheapest to compute, of those as safe, within one standard error of "
+    "the best (that of "
     "the difference, group by group: column `above best`) and 5 %, or the cheapest "
     "within one standard error alone where its nested error is smaller",
-    "share": "the cheapest to compute within 5 % of the best",
+    "share": "the cheapest to compute, of those as safe, within 5 % of the best",
     "best": "the smallest error, whatever it costs",
 }
 """The choice by its rule."""
@@ -102,7 +103,7 @@ def sentences(board: Leaderboard, output: str, taken: int | None = None) -> list
     """Why this one, what others would cost, and which records it serves worst."""
     row = candidate_in_use(board, output, taken)
     told = [_choice(board, output, row)]
-    told += [*_proven(row), *_physics(row)]
+    told += [*_proven(board, row), *_physics(row)]
     told += [*_best(board, row), *_others(board, row)]
     told += [*_linear(board, row), *_explain_vetoes(board, output)]
     told += [*_explain_signs(board, output), *_groups(board, row)]
@@ -170,10 +171,13 @@ def _nested(row: Candidate) -> str:
     return f" (nested {ratio_text(row.nested)}: made again without every group)"
 
 
-def _proven(row: Candidate) -> list[str]:
+def _proven(board: Leaderboard, row: Candidate) -> list[str]:
     """That nothing makes it run away, where that is proven."""
-    told = "Its runs are proven to stay bounded while its inputs are; among equals such"
-    return [f"{told} candidates come first."] if row.bounded else []
+    if not row.bounded:
+        return []
+    told = "Its runs are proven to stay bounded while its inputs are"
+    first = "; among equals such candidates come first" * (board.rule in NONE_NEAR)
+    return [f"{told}{first}."]
 
 
 def _physics(row: Candidate) -> list[str]:

@@ -213,7 +213,8 @@ class Leaderboard:
             near = [r for r in rows if _is_near(r, best)]
         near = _safest(near)
         chosen = min(near, key=lambda r: (_cost(r), _error(r)))
-        return _least_nested(chosen, rows)
+        as_safe = [r for r in rows if r.bounded or not chosen.bounded]
+        return _least_nested(chosen, as_safe)
 
     def simplest(self, output: str) -> Candidate | None:
         """The cheapest to compute within one standard error of the best, however much

@@ -34,7 +34,7 @@ from jaxnarx.settings import Recursive
 from jaxnarx.simulation import make_masks, match_records
 
 VERSIONS = {"fmu2": 2, "fmu3": 3}
-"""Versions of FMI by target."""
+"""Versions of FMI of what learns, by target."""
 TOLERANCE = 1e-9
 """Largest difference of a coefficient, in shares of the largest of its output."""
 
@@ -52,14 +52,16 @@ def export_adaptation(
 
     Beside the header, source and self-test of `jnx.export` stand `NAME_adapt.h` and
     `NAME_adapt.c`: `NAME_adapt(&a, u, y, &out)` in place of `NAME_step` takes the
-    measured outputs as well, NaN where one is missing, from the first sample on, and
-    reports what `NAME_step` would. Memory and multiplications stand in the header. It
-    is compiled, and its coefficients behind every record of `data` are compared with
-    those of `adapt`; `ExportError` where one differs by more than 1e-9 of its output's
-    largest.
+    measured outputs as well, NaN where one is missing, from the first sample on. It
+    reports what `NAME_step` would from a free run, or with `regressors="measured"` from
+    the measured outputs before; `a.learn = 0` makes it stop learning. Memory and
+    multiplications stand in the header. It is compiled, and its coefficients behind
+    every record of `data` are compared with those of `adapt`; `ExportError` where one
+    differs by more than 1e-9 of its output's largest.
 
     An FMU has the measured outputs as inputs `measured.NAME` (NaN where one is
-    missing), an input `learn`, 1 while it is to learn, and the outputs `rmse.NAME`,
+    missing; to be connected while it does not learn, too), an input `learn`, 1 while it
+    is to learn, and the outputs `rmse.NAME`,
     `rmse_start.NAME`, `drift.NAME` and `undone.NAME` of the last window. What it has
     learnt is a part of its state, which is got, set and serialised. Its reported
     outputs are compared with those of the C.
@@ -221,7 +223,9 @@ def _outputs_apart(
     program, measured = adaptive.program, _measured(adaptive, data)
     _, expected = run(*measured)
     width = np.array([port.high - port.low for port in program.reported])
-    apart = np.abs(other(*measured) - expected) / np.where(width > 0, width, 1.0)
+    found = other(*measured)
+    apart = np.abs(found - expected) / np.where(width > 0, width, 1.0)
+    apart = np.where(np.isnan(found) & np.isnan(expected), 0.0, apart)
     worst = float(np.max(apart[program.history :]))
     if not worst <= TOLERANCE:
         raise ExportError(

@@ -262,15 +262,12 @@ class Network(eqx.Module):
     _repr_html_ = page
 
     def bound_text(self, o: int) -> str:
-        """The bound of a computed output in words, if it is one: those with a
-        certificate have it far beyond all that can be."""
-        s = self.signals[o]
-        gain, least, most = (
-            float(np.asarray(a)[s]) for a in (self.gain, self.low, self.high)
-        )
-        low, high = (float(np.asarray(a)[o]) * gain for a in (self.lower, self.upper))
-        if high - low > UNBOUNDED_WIDTHS * (most - least) > 0:
+        """The bound of a computed output in words, if it is one: networks that are
+        proven bounded have it far beyond all that can be."""
+        if self.released[o]:
             return ""
+        gain = float(np.asarray(self.gain)[self.signals[o]])
+        low, high = (float(np.asarray(a)[o]) * gain for a in (self.lower, self.upper))
         unit = f" {unit}" if (unit := self.computed[o].unit) else ""
         return f"{low:.4g} to {high:.4g}{unit}"
 
@@ -288,6 +285,15 @@ class Network(eqx.Module):
         same = abs(lower * gain - low) <= slack
         same &= abs(upper * gain - high) <= slack
         return same & (high > low) & (np.arange(len(own)) >= count)
+
+    @property
+    def released(self) -> Bool[np.ndarray, " computed"]:
+        """Whether the bound of what is computed is none, being far beyond all that can
+        be; host only."""
+        own = np.array(self.signals)
+        gain, low, high = (np.asarray(a)[own] for a in (self.gain, self.low, self.high))
+        widths = (np.asarray(self.upper) - np.asarray(self.lower)) * gain
+        return (widths > UNBOUNDED_WIDTHS * (high - low)) & (high > low)
 
     @property
     def margin_text(self) -> str:

@@ -119,9 +119,9 @@ def refine(
         _require_free(deviations)
         judge = match_records(network, data if validation is None else validation)
         return refine_stable(network, judge, continue_refinement)
-    # Of a network that changes they say nothing any more, and with the certificate goes
-    # what allowed for bounds so wide that nothing is held.
-    if network.certificate is not None:
+    # Of a network that changes they say nothing any more, and with the proof goes what
+    # allowed for bounds so wide that nothing is held.
+    if network.certificate is not None or network.released.any():
         network = set_bounds(network)
     network = dataclasses.replace(network, certificate=None, errors=None)
     settings = {}

@@ -8,7 +8,7 @@ from control_problems import TIME, linear, shifted
 
 import jaxnarx as jnx
 from jaxnarx.control import Command, close_loop, mpc, tune_effort
-from jaxnarx.errors import SpecError
+from jaxnarx.errors import DataError, SpecError
 
 FACTORS = (0.1, 1.0, 1e3, 1e4)
 
@@ -65,6 +65,13 @@ def test_where_every_loop_diverges_it_says_so_and_changes_nothing(
     found = tune_effort(controller, [broken], references, factors=(1.0,))
     assert found.status == jnx.RESULTS.diverged and "diverges" in found.detail
     np.testing.assert_array_equal(found.value.effort, controller.effort)
+
+
+def test_a_reference_that_does_not_move_is_told_of(controller, references):
+    (record,) = references.records
+    still = dataclasses.replace(references, records=(record.part(0, 20),))
+    with pytest.raises(DataError, match="does not move"):
+        tune_effort(controller, [shifted(0.0)], still, factors=(1.0,))
 
 
 @pytest.mark.parametrize(

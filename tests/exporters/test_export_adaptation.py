@@ -180,8 +180,10 @@ def test_an_fmu_learns_what_the_c_learns(changed, tmp_path, version):
             model.step(t * step, step)
         ahead.append(model.get("y", *told))
     assert ahead[0] == ahead[2] != ahead[1]
-    # A window without learning tells what the last one told.
+    # A window without learning tells what the last one told, and the run goes on: it is
+    # as near to the plant as the model is.
     np.testing.assert_allclose(ahead[1][1:4], expected, rtol=1e-9)
+    assert abs(ahead[1][0] - rows[199, 1]) < 5 * expected[0]
     model.own.freeFMUState(kept)
     model.end()
 
@@ -189,3 +191,41 @@ def test_an_fmu_learns_what_the_c_learns(changed, tmp_path, version):
 def test_what_learns_is_written_as_c_and_fmu_alone(changed):
     with pytest.raises(SpecError, match="'casadi'.*c, fmu2 or fmu3"):
         export_adaptation(*changed, to=["casadi"])
+
+
+@pytest.mark.parametrize("regressors", ["measured", "simulated"])
+def test_an_fmu_that_does_not_learn_is_the_model_that_was_exported(
+    changed, tmp_path, regressors
+):
+    """From its first sample on, with measured outputs connected."""
+    fmu_problems = pytest.importorskip("fmu_problems")
+    network, data = changed
+    method = Recursive(regressors=regressors)
+    found = export_adaptation(network, data, method, name="m", to=["fmu3"])
+    place = fmu_problems.unpacked(found.files["m_fmi3.fmu"], tmp_path / "m")
+    model = fmu_problems.Importer(place)
+    (record,) = data.records
+    step, (name,) = float(network.sample_time), network.channels.input_names
+    names = [name, "measured.y", "learn"]
+    rows = np.column_stack([record.signals, np.zeros(len(record))])
+    model.enter()
+    model.set(names, rows[0])
+    model.leave()
+    reported = []
+    for t in range(150):
+        model.set(names, rows[t])
+        model.step(t * step, step)
+        reported += model.get("y")
+    part = dataclasses.replace(data, records=(record.part(0, 150),))
+    ways = {"measured": jnx.predict, "simulated": jnx.simulate}
+    (expected,) = ways[regressors](network, part).value.outputs
+    np.testing.assert_allclose(reported[10:], expected[10:, 0], rtol=1e-9)
+    assert model.get("rmse.y") == [0.0]
+    model.end()
+
+
+def test_an_fmu_whose_outputs_are_nan_where_the_model_says_so_is_proven(changed):
+    network, data = changed
+    silent = dataclasses.replace(network, nan="nan")
+    found = export_adaptation(silent, data, name="m", to=["fmu2"])
+    assert found.difference["fmu2, adaptation"] < 1e-12

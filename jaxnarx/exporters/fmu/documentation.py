@@ -36,9 +36,11 @@ what was serialised by another model is refused."""
 LEARNING_TEXT = """While <code>learn</code> is 1 the coefficients follow the engine by
 recursive least squares: every sample that is taken learns from
 <code>measured.*</code> as it is set then, NaN where an output is not measured, and
-from nothing outside of the domain. Until a history of complete samples has been seen
-the run goes by the measured outputs. <code>rmse.*</code> and the values beside are of
-the last whole window. The coefficients are a part of the state, which is got, set and
+from nothing outside of the domain. With 0 they stay. Measured outputs have to be
+connected in any case: the run begins from them, and a model that was set to learn from
+measured regressors predicts every sample from the measured ones before, as its C does.
+<code>rmse.*</code> and the values beside are of the last whole window that was
+taken. The coefficients are a part of the state, which is got, set and
 serialised; derivatives are not provided."""
 SOURCES_TEXT = """For another platform, compile the files of <code>sources</code> as C99
 into a shared library, with the mathematical library. Linked statically, define

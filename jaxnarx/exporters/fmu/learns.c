@@ -14,8 +14,9 @@ static void take_sample(memory *m, const NAME_real *u, const double *y, NAME_out
     NAME_real seen[UPPER_REPORTED];
     size_t k;
     for (k = 0; k < UPPER_REPORTED; k++) {
-        seen[k] = y[UPPER_REPORTED] > 0.5 ? (NAME_real)y[k] : (NAME_real)NAN;
+        seen[k] = (NAME_real)y[k];
     }
+    m->learn = y[UPPER_REPORTED] > 0.5;
     NAME_adapt(m, u, seen, out);
 }
 

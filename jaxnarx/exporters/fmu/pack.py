@@ -65,7 +65,8 @@ def contents(
     """Everything but a binary, by its place in the archive."""
     name = program.name
     variables = quantities(program, version, learns=learns)
-    texts = [*code.values(), variables, read_template("unit.c"), version]
+    memory = read_template("learns.c" if learns else "fixed.c")
+    texts = [*code.values(), variables, read_template("unit.c"), memory, version]
     whole = "".join(map(str, texts))
     token = f"{{{uuid.UUID(bytes=hashlib.sha256(as_bytes(whole)).digest()[:16])}}}"
     sources = [f"{name}.c", f"{name}_fmi{version}.c"]

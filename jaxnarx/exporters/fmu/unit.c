@@ -168,7 +168,7 @@ static int fmi_unit_get_real(unit *m, unsigned int at, double *value)
         *value = flag[at - FMI_AT_FLAG];
     } else if (at < FMI_AT_LIMITED) {
         double learnt[LEARNT + 1];
-        fmi_unit_learnt(m->phase <= EVENT ? &m->next : &m->past, learnt);
+        fmi_unit_learnt(&m->past, learnt);
         *value = learnt[at - FMI_AT_LEARNT];
     } else {
         double past[PAST + 1];

@@ -96,7 +96,7 @@ def _largest(factor: np.ndarray, matrices: np.ndarray) -> float:
 def stays_bounded(network: Network) -> bool:
     """Whether every run is proven to stay bounded while its inputs are, however large.
 
-    True without feedback, where local models share their feedback or contract in one
+    True of averaged local models without feedback, that share it or contract in one
     norm, where hidden channels saturate, and with sigmoid gates beside a stable linear
     model: x(t+1) = A x(t) + v(t), where v is bounded. Slower than `SLOWEST_RATE` counts
     as not stable.

@@ -80,7 +80,7 @@ class Stability:
             constant = time_constant(rate) * self.sample_time
             return (
                 "Contracts whatever the inputs, while no bound holds its outputs: "
-                "proven by one norm for all local models; two runs with the same "
+                "proven by one norm for all its slopes; two runs with the same "
                 "inputs approach each other with a time constant of "
                 f"{_figure(constant)} s or less (rate {rate:.4f} a sample, overshoot "
                 f"up to {_figure(self.certificate.overshoot)})."

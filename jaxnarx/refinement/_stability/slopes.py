@@ -36,7 +36,7 @@ Corners = Float[np.ndarray, "corners outputs outputs depth"]
 def slopes_of(network: Network) -> "GatedSlopes | MeanSlopes | None":
     """The slopes of a network; None where nothing bounds them but the outputs, or where
     what is fed back saturates: a norm need not shrink there."""
-    if np.asarray(network.saturates).any():
+    if np.asarray(network.saturates).any() or network.parallel:
         return None
     gated = all(isinstance(m.validity, AdditiveGates) for m in network.models)
     return GatedSlopes.of(network) if gated else MeanSlopes.of(network)
@@ -70,7 +70,7 @@ class GatedSlopes:
             for k, row in enumerate(np.asarray(model.local.factor).tolist()):
                 factors = [v for v in row if v]
                 constant += 0.0 if factors else dense[:, k]
-                if not factors:
+                if not factors or not dense[:, k].any():
                     continue
                 fed = any(v in place for v in factors)
                 if dense[1:, k].any() or (len(factors) > 1 and fed and dense[0, k]):
@@ -84,7 +84,7 @@ class GatedSlopes:
                 steepest[:, p, lag] = direction[:, row] * size
             scale = STEEPEST_SIGMOID * constant[1:]
             added.append(scale[:, None, None] * steepest)
-        return cls(beside, added, tied_outputs([m.validity for m in network.models]))
+        return cls(beside, added, _shared_slopes(network))
 
     @property
     def linked(self) -> Bool[np.ndarray, "outputs outputs"]:
@@ -120,7 +120,7 @@ class MeanSlopes:
     @classmethod
     def of(cls, network: Network) -> "MeanSlopes | None":
         """None where they depend on the past outputs themselves."""
-        if network.parallel or not all(map(_has_convex_weights, network.models)):
+        if not all(map(_has_convex_weights, network.models)):
             return None
         own = fed_back_variables(network.variables, network.signals)
         if any(
@@ -148,6 +148,18 @@ class MeanSlopes:
         if np.prod([float(len(corners)) for corners in rows]) > MOST_MATRICES:
             return None
         return np.stack([np.stack(one) for one in itertools.product(*rows)])
+
+
+def _shared_slopes(network: Network) -> tuple[int, ...]:
+    """For every output the first one whose gates have the same slopes, else itself."""
+    owners = list(tied_outputs([model.validity for model in network.models]))
+    for o, model in enumerate(network.models):
+        first = network.models[owners[o]]
+        same = model.scheduling == first.scheduling
+        pairs = (model.offset, first.offset), (model.span, first.span)
+        if not same or not all(np.array_equal(*map(np.asarray, p)) for p in pairs):
+            owners[o] = o
+    return tuple(owners)
 
 
 def _has_convex_weights(model: OutputModel) -> bool:

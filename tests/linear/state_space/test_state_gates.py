@@ -20,11 +20,13 @@ from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.models import AdditiveGates, Network, load, save
 from jaxnarx.refinement import certificate, stability, stays_bounded
 from jaxnarx.refinement._refine import make_task
+from jaxnarx.refinement._stability._certificate import _blocks
+from jaxnarx.refinement._stability.slopes import slopes_of
 from jaxnarx.refinement.gauss_newton import loss, normal_equations
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.labels import label
 from jaxnarx.refinement.layout import make_layout
-from jaxnarx.settings import HiddenStates
+from jaxnarx.settings import HiddenStates, SimulationError
 from jaxnarx.simulation import run, simulate
 
 GATES = 3
@@ -127,6 +129,16 @@ def test_a_certificate_holds_for_the_slopes_of_all_states(gated):
     assert free.certificate is not None and free.outside == "flag"
 
 
+def test_gates_of_another_scale_have_slopes_of_their_own(gated):
+    model = gated.models[-1]
+    wider = dataclasses.replace(model, span=1.5 * model.span)
+    other = dataclasses.replace(gated, models=(*gated.models[:-1], wider))
+    for net, owners in ((gated, (0, 0, 0)), (other, (0, 0, 2))):
+        assert slopes_of(net).owners == owners
+        (corners,) = [m for _, m in _blocks(net)]
+        assert len(corners) == 2 ** (GATES * len(set(owners)))
+
+
 def test_strong_gates_have_none_but_stay_bounded(gated):
     models = []
     for model in gated.models:
@@ -146,6 +158,10 @@ def test_strong_gates_have_none_but_stay_bounded(gated):
     free = apply_release_limits(strong)
     run = simulate(free, loud).value
     assert not np.any(run.diverged) and np.isfinite(np.concatenate(run.hidden)).all()
+    # Trained on, a network has its bounds again.
+    assert free.released.any() and not strong.released.any()
+    few = SimulationError(horizons=(5,), max_steps=1, window_steps=1)
+    assert not jnx.refine(free, data, few).value.released.any()
     # Beside a linear model that is not stable nothing is proven.
     first = dataclasses.replace(plant(), a=2 * np.asarray(plant().a))
     raised = add_gates(state_network(first, data, (0,), window=15), data, GATES, 1)
