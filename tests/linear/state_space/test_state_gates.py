@@ -21,7 +21,7 @@ from jaxnarx.models import AdditiveGates, Network, load, save
 from jaxnarx.refinement import certificate, stability, stays_bounded
 from jaxnarx.refinement._refine import make_task
 from jaxnarx.refinement._stability._certificate import _blocks
-from jaxnarx.refinement._stability.slopes import slopes_of
+from jaxnarx.refinement._stability.slopes import GatedSlopes, slopes_of
 from jaxnarx.refinement.gauss_newton import loss, normal_equations
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.labels import label
@@ -134,8 +134,9 @@ def test_gates_of_another_scale_have_slopes_of_their_own(gated):
     wider = dataclasses.replace(model, span=1.5 * model.span)
     other = dataclasses.replace(gated, models=(*gated.models[:-1], wider))
     for net, owners in ((gated, (0, 0, 0)), (other, (0, 0, 2))):
-        assert slopes_of(net).owners == owners
-        (corners,) = [m for _, m in _blocks(net)]
+        slopes = slopes_of(net)
+        assert isinstance(slopes, GatedSlopes) and slopes.owners == owners
+        (corners,) = [m for _, m in _blocks(net) or []]
         assert len(corners) == 2 ** (GATES * len(set(owners)))
 
 
