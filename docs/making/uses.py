@@ -8,8 +8,10 @@ CALIBRATED = "vct", "pfi", "gtdi", "diesel"
 """Beds of calibration."""
 CONTROLLED = {
     "engine": "the engine of the records",
+    "engine, efforts tuned": "the same, efforts tuned",
     "without preview": "the same, references known as they come",
     "sisters": "engines with other parameters",
+    "sisters, efforts tuned": "these, efforts tuned",
     "sisters, constant": "these, at the end of constant references",
 }
 

@@ -151,7 +151,7 @@ def _renew_certificate(changed: Network) -> Network:
     """Drop what was known of the network that it was."""
     changed = dataclasses.replace(changed, errors=None)
     if changed.certificate is not None:
-        changed = attach_certificate(changed)
-    if changed.certificate is not None or not changed.released.any():
-        return changed
-    return changed if stays_bounded(changed) else set_bounds(changed)
+        proven = attach_certificate(changed)
+        return proven if proven.certificate is not None else set_bounds(proven)
+    kept = not changed.released.any() or stays_bounded(changed)
+    return changed if kept else set_bounds(changed)

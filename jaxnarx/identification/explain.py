@@ -24,11 +24,10 @@ UNEVEN_FACTOR = 1.25
 OPERATION_DIGITS = 7
 """Behind the point; smaller figures are written with powers of ten."""
 RULE_WORDS = {
-    "near": "the cheapest to compute, of those as safe, within one standard error of "
-    "the best (that of "
-    "the difference, group by group: column `above best`) and 5 %, or the cheapest "
-    "within one standard error alone where its nested error is smaller",
-    "share": "the cheapest to compute, of those as safe, within 5 % of the best",
+    "near": "the cheapest to compute within one standard error of the best (that of "
+    "the difference, group by group: column `above best`) and 5 %, safest first, or "
+    "the cheapest within one standard error alone where its nested error is smaller",
+    "share": "the cheapest to compute within 5 % of the best, safest first",
     "best": "the smallest error, whatever it costs",
 }
 """The choice by its rule."""
