@@ -157,7 +157,7 @@ def _shared_slopes(network: Network) -> tuple[int, ...]:
         first = network.models[owners[o]]
         same = model.scheduling == first.scheduling
         pairs = (model.offset, first.offset), (model.span, first.span)
-        if not same or not all(np.array_equal(*map(np.asarray, p)) for p in pairs):
+        if not same or not all(np.array_equal(one, two) for one, two in pairs):
             owners[o] = o
     return tuple(owners)
 
