@@ -22,7 +22,9 @@ KEPT = (
     *("rank", "family", "name", "output", "free_run", "standard_error", "worst_group"),
     *("one_step", "diverged", "operations", "parameters", "seconds"),
 )
-"""What the table keeps of a row of the leaderboard."""
+"""What the table keeps of the rows of models that it scores ..."""
+LISTED = ("output", "family", "name", "free_run", "seconds")
+"""... and of all others, from which `order.py` is made."""
 
 LINEAR = ("OE", "OE with filtered inputs")
 """Names that the family of linear output-error models may have."""
@@ -131,9 +133,9 @@ def figure(row: Row, key: str, output: str) -> Any:
     return digits(value) if abs(value) < float("inf") else None
 
 
-def kept(row: Row, output: str) -> Row:
+def kept(row: Row, output: str, keys: Sequence[str] = KEPT) -> Row:
     """A row of the leaderboard as the table keeps it."""
-    return {key: figure(row, key, output) for key in KEPT if key in row}
+    return {key: figure(row, key, output) for key in keys if key in row}
 
 
 def chosen(rows: Sequence[Row], output: str) -> Row:
@@ -179,5 +181,5 @@ def fit(
             for (name, (row, _)), test in zip(models.items(), tests, strict=True)
         }
     outputs = found.outputs[0]
-    table = [kept(row, row.get("output") or outputs) for row in rows]
+    table = [kept(row, row.get("output") or outputs, LISTED) for row in rows]
     return {"about": told(found), "columns": columns, "leaderboard": table}

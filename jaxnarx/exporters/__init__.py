@@ -14,6 +14,7 @@ from jaxnarx.exporters.calibration import read_dcm as read_dcm
 from jaxnarx.exporters.calibration import read_text as read_text
 from jaxnarx.exporters.dcm import map_lines as map_lines
 from jaxnarx.exporters.dcm import sanitise as sanitise
+from jaxnarx.exporters.fmu import FMI_VERSIONS as FMI_VERSIONS
 from jaxnarx.exporters.fmu import fmu_runner as fmu_runner
 from jaxnarx.exporters.fmu import learning_fmu as learning_fmu
 from jaxnarx.exporters.form import BLEND as BLEND

@@ -153,5 +153,5 @@ def _renew_certificate(changed: Network) -> Network:
     if changed.certificate is not None:
         proven = attach_certificate(changed)
         return proven if proven.certificate is not None else set_bounds(proven)
-    kept = not changed.released.any() or stays_bounded(changed)
+    kept = not changed.is_unbounded.any() or stays_bounded(changed)
     return changed if kept else set_bounds(changed)

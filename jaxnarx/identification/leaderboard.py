@@ -334,7 +334,7 @@ def _cost(row: Candidate) -> float:
 
 
 def _safest(rows: list[Candidate]) -> list[Candidate]:
-    """Those that forget their past, and of these those that are proven bounded, where
+    """Rows whose models forget their past, and of these the proven bounded ones, where
     there are some."""
     rows = [r for r in rows if r.forgets] or rows
     return [r for r in rows if r.bounded] or rows

@@ -12,6 +12,7 @@ from jaxnarx.checks import require
 from jaxnarx.data import Dataset, stack_records
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.exporters import (
+    FMI_VERSIONS,
     ONLY_DOUBLE,
     AdaptationRunner,
     AdaptiveProgram,
@@ -33,8 +34,6 @@ from jaxnarx.models import Network, looks_back
 from jaxnarx.settings import Recursive
 from jaxnarx.simulation import make_masks, match_records
 
-VERSIONS = {"fmu2": 2, "fmu3": 3}
-"""Versions of FMI of what learns, by target."""
 TOLERANCE = 1e-9
 """Largest difference of a coefficient, in shares of the largest of its output."""
 
@@ -61,10 +60,9 @@ def export_adaptation(
 
     An FMU has the measured outputs as inputs `measured.NAME` (NaN where one is
     missing; to be connected while it does not learn, too), an input `learn`, 1 while it
-    is to learn, and the outputs `rmse.NAME`,
-    `rmse_start.NAME`, `drift.NAME` and `undone.NAME` of the last window. What it has
-    learnt is a part of its state, which is got, set and serialised. Its reported
-    outputs are compared with those of the C.
+    is to learn, and the outputs `rmse.NAME`, `rmse_start.NAME`, `drift.NAME` and
+    `undone.NAME` of the last window. What it has learnt is a part of its state, which
+    is got, set and serialised. Its reported outputs are compared with those of the C.
 
     Args:
         network: The model, as `adapt` takes it, with one group of local models for
@@ -96,7 +94,7 @@ def export_adaptation(
                 field="network",
             )
     _require_terms(network)
-    unknown = sorted(set(to) - {"c", *VERSIONS})
+    unknown = sorted(set(to) - {"c", *FMI_VERSIONS})
     require(
         not unknown,
         "to",
@@ -113,21 +111,23 @@ def export_adaptation(
         write_files(Path(place), code)
         run = adaptation_runner(Path(place), adaptive)
         every = [_difference(network, method, adaptive, run, one) for one in records]
-        worst = float(np.max(every))
-        if not worst <= TOLERANCE:
-            raise ExportError(
-                f"coefficients that the C has learnt differ from those of adapt by "
-                f"{worst:.3g} of the largest, more than {TOLERANCE:g}"
-            )
-        difference["c, adaptation"] = worst
-        for target in [name for name in VERSIONS if name in to]:
-            version = VERSIONS[target]
+        difference["c, adaptation"] = _require_small(
+            every,
+            "coefficients that the C has learnt differ from those of adapt, as shares "
+            "of the largest,",
+        )
+        for target in [name for name in FMI_VERSIONS if name in to]:
+            version = FMI_VERSIONS[target]
             made = learning_fmu(found.program, code, version)
             write_files(Path(place), made)
             other = fmu_runner(Path(place), found.program, version, learns=True)
             if other is not None:
                 every = [_outputs_apart(adaptive, run, other, one) for one in records]
-                difference[f"{target}, adaptation"] = float(np.max(every))
+                difference[f"{target}, adaptation"] = _require_small(
+                    every,
+                    "outputs of the FMU that learns differ from those of the C, as "
+                    "shares of their range,",
+                )
             files |= made
     return dataclasses.replace(
         found, files={**found.files, **files}, difference=difference
@@ -218,18 +218,19 @@ def _measured(adaptive: AdaptiveProgram, data: Dataset) -> tuple[np.ndarray, ...
 def _outputs_apart(
     adaptive: AdaptiveProgram, run: AdaptationRunner, other: Runner, data: Dataset
 ) -> float:
-    """The largest difference of what C and FMU report, in trained ranges; ExportError
-    where it is too large."""
+    """The largest difference of what C and FMU report, in trained ranges."""
     program, measured = adaptive.program, _measured(adaptive, data)
     _, expected = run(*measured)
     width = np.array([port.high - port.low for port in program.reported])
     found = other(*measured)
     apart = np.abs(found - expected) / np.where(width > 0, width, 1.0)
     apart = np.where(np.isnan(found) & np.isnan(expected), 0.0, apart)
-    worst = float(np.max(apart[program.history :]))
+    return float(np.max(apart[program.history :]))
+
+
+def _require_small(differences: Sequence[float], what: str) -> float:
+    """The largest of them; ExportError where it is too large."""
+    worst = float(np.max(differences))
     if not worst <= TOLERANCE:
-        raise ExportError(
-            f"outputs of the FMU that learns differ from those of the C by "
-            f"{worst:.3g} of their range, more than {TOLERANCE:g}"
-        )
+        raise ExportError(f"{what} by {worst:.3g}, more than {TOLERANCE:g}")
     return worst

@@ -264,7 +264,7 @@ class Network(eqx.Module):
     def bound_text(self, o: int) -> str:
         """The bound of a computed output in words, if it is one: networks that are
         proven bounded have it far beyond all that can be."""
-        if self.released[o]:
+        if self.is_unbounded[o]:
             return ""
         gain = float(np.asarray(self.gain)[self.signals[o]])
         low, high = (float(np.asarray(a)[o]) * gain for a in (self.lower, self.upper))
@@ -287,7 +287,7 @@ class Network(eqx.Module):
         return same & (high > low) & (np.arange(len(own)) >= count)
 
     @property
-    def released(self) -> Bool[np.ndarray, " computed"]:
+    def is_unbounded(self) -> Bool[np.ndarray, " computed"]:
         """Whether the bound of what is computed is none, being far beyond all that can
         be; host only."""
         own = np.array(self.signals)

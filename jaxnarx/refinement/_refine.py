@@ -121,7 +121,7 @@ def refine(
         return refine_stable(network, judge, continue_refinement)
     # Of a network that changes they say nothing any more, and with the proof goes what
     # allowed for bounds so wide that nothing is held.
-    if network.certificate is not None or network.released.any():
+    if network.certificate is not None or network.is_unbounded.any():
         network = set_bounds(network)
     network = dataclasses.replace(network, certificate=None, errors=None)
     settings = {}

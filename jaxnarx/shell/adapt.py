@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.errors import SpecError
-from jaxnarx.exporters import write_files
+from jaxnarx.exporters import FMI_VERSIONS, write_files
 from jaxnarx.formatting import count
 from jaxnarx.linear import adapt, export_adaptation
 from jaxnarx.models import Network, load, load_about, save
@@ -24,15 +24,13 @@ from jaxnarx.solution import Solution
 
 MODEL_FILE, WINDOWS_FILE = "model.safetensors", "adaptation.csv"
 PAGE_FILE = "report.html"
-VERSIONS = 2, 3
-"""Versions of FMI."""
 NOTHING_LEARNT = "stalled", "unidentifiable"
 """Statuses of a model that is what it was."""
 
 
 def adapt_model(command: Adapt) -> int:
     """Write the model that has followed the records; returns the exit code."""
-    if command.fmu not in (None, *VERSIONS):
+    if command.fmu not in (None, *FMI_VERSIONS.values()):
         raise SpecError(f"--fmu must be 2 or 3, got {command.fmu}")
     network = load(command.model)
     data = read_records(command.files, command.root, network)

@@ -26,6 +26,7 @@ from jaxnarx.data import Dataset, thin_records
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.linear.state_space.gates import add_gates
 from jaxnarx.linear.state_space.lag_bank import bank_model
+from jaxnarx.linear.state_space.model import StateSpace
 from jaxnarx.linear.state_space.network import (
     increase_degree,
     set_state_ranges,
@@ -277,33 +278,19 @@ def _linear_networks(
     data: Dataset, places: tuple[int, ...], method: HiddenStates
 ) -> Iterator[tuple[str, Network]]:
     """The linear models to start from, as networks, with their names."""
+
+    def as_network(model: StateSpace, delayed: Any = None) -> Network:
+        how = {"window": method.window, "saturation": method.saturation}
+        return state_network(model, data, places, delayed=delayed, **how)
+
     if method.times:
         require(len(places) == 1, "times", "a bank of lags is for one output alone")
         model, delayed = bank_model(data, places[0], method.times)
-        yield (
-            BANK_NAME,
-            state_network(
-                model,
-                data,
-                places,
-                window=method.window,
-                saturation=method.saturation,
-                delayed=delayed,
-            ),
-        )
+        yield BANK_NAME, as_network(model, delayed)
         return
     for name, model in linear_starts(data, places, method.states):
         if method.start in ("", name):
-            yield (
-                name,
-                state_network(
-                    model,
-                    data,
-                    places,
-                    window=method.window,
-                    saturation=method.saturation,
-                ),
-            )
+            yield name, as_network(model)
 
 
 def _error(network: Network, data: Dataset) -> float:

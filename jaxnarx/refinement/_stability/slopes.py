@@ -55,35 +55,17 @@ class GatedSlopes:
     def of(cls, network: Network) -> "GatedSlopes | None":
         """None where what a gate opens, or what multiplies a past output, moves, or
         where weights are not those of gates."""
-        shape = len(network.models), depth(network)
         own = fed_back_variables(network.variables, network.signals)
         place = {row + 1: (o, lag) for row, o, lag in own}
-        beside, added = np.zeros((shape[0], *shape)), []
-        gain = np.asarray(network.gain, float)
-        for o, model in enumerate(network.models):
-            if not isinstance(model.validity, AdditiveGates):
-                return None
-            dense = np.where(
-                np.asarray(model.active)[:, None], np.asarray(model.local.dense()), 0.0
-            )
-            constant = np.zeros(len(dense))
-            for k, row in enumerate(np.asarray(model.local.factor).tolist()):
-                factors = [v for v in row if v]
-                constant += 0.0 if factors else dense[:, k]
-                if not factors or not dense[:, k].any():
-                    continue
-                fed = any(v in place for v in factors)
-                if dense[1:, k].any() or (len(factors) > 1 and fed and dense[0, k]):
-                    return None
-                if fed:
-                    beside[o, *place[factors[0]]] += dense[0, k]
-            steepest = np.zeros((len(dense) - 1, *shape))
-            direction = np.asarray(model.validity.direction, float)
-            for row, p, lag in fed_back_variables(model.scheduling, network.signals):
-                size = gain[network.signals[p]] / float(model.span[row])
-                steepest[:, p, lag] = direction[:, row] * size
-            scale = STEEPEST_SIGMOID * constant[1:]
-            added.append(scale[:, None, None] * steepest)
+        parts = [_beside_gates(network, model, place) for model in network.models]
+        known = [part for part in parts if part is not None]
+        if len(known) < len(parts):
+            return None
+        added = [
+            _steepest(network, model, constants)
+            for model, (_, constants) in zip(network.models, known, strict=True)
+        ]
+        beside = np.stack([slopes for slopes, _ in known])
         return cls(beside, added, _shared_slopes(network))
 
     @property
@@ -148,6 +130,43 @@ class MeanSlopes:
         if np.prod([float(len(corners)) for corners in rows]) > MOST_MATRICES:
             return None
         return np.stack([np.stack(one) for one in itertools.product(*rows)])
+
+
+def _beside_gates(
+    network: Network, model: OutputModel, place: dict[int, tuple[int, int]]
+) -> tuple[Float[np.ndarray, "outputs depth"], Float[np.ndarray, " gates"]] | None:
+    """Slopes of the first local model, and the constants behind all gates; None where
+    there is more behind them, or a product of a past output."""
+    if not isinstance(model.validity, AdditiveGates):
+        return None
+    active = np.asarray(model.active)[:, None]
+    dense = np.where(active, np.asarray(model.local.dense()), 0.0)
+    slopes = np.zeros((len(network.models), depth(network)))
+    constants = np.zeros(len(dense) - 1)
+    for k, row in enumerate(np.asarray(model.local.factor).tolist()):
+        factors = [v for v in row if v]
+        if not factors:
+            constants += dense[1:, k]
+        elif dense[1:, k].any():
+            return None
+        elif dense[0, k] and any(v in place for v in factors):
+            if len(factors) > 1:
+                return None
+            slopes[place[factors[0]]] += dense[0, k]
+    return slopes, constants
+
+
+def _steepest(
+    network: Network, model: OutputModel, constants: Float[np.ndarray, " gates"]
+) -> Float[np.ndarray, "gates outputs depth"]:
+    """What every gate adds to the slopes where it is steepest."""
+    assert isinstance(model.validity, AdditiveGates)
+    found = np.zeros((len(constants), len(network.models), depth(network)))
+    direction = np.asarray(model.validity.direction, float)
+    gain, span = np.asarray(network.gain), np.asarray(model.span)
+    for row, o, lag in fed_back_variables(model.scheduling, network.signals):
+        found[:, o, lag] += direction[:, row] * gain[network.signals[o]] / span[row]
+    return STEEPEST_SIGMOID * constants[:, None, None] * found
 
 
 def _shared_slopes(network: Network) -> tuple[int, ...]:

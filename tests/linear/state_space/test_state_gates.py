@@ -160,9 +160,9 @@ def test_strong_gates_have_none_but_stay_bounded(gated):
     run = simulate(free, loud).value
     assert not np.any(run.diverged) and np.isfinite(np.concatenate(run.hidden)).all()
     # Trained on, a network has its bounds again.
-    assert free.released.any() and not strong.released.any()
+    assert free.is_unbounded.any() and not strong.is_unbounded.any()
     few = SimulationError(horizons=(5,), max_steps=1, window_steps=1)
-    assert not jnx.refine(free, data, few).value.released.any()
+    assert not jnx.refine(free, data, few).value.is_unbounded.any()
     # Beside a linear model that is not stable nothing is proven.
     first = dataclasses.replace(plant(), a=2 * np.asarray(plant().a))
     raised = add_gates(state_network(first, data, (0,), window=15), data, GATES, 1)
