@@ -30,9 +30,9 @@ SHORT_RECORDS, SHORT_PULLS = 2000, (0.3, *PULLS_TRIED)
 1,024 it makes the best model with hidden states."""
 SHORT_SATURATION = 3.0
 """Standard deviations at which states with products saturate on short records. On
-blocks left out of the cascaded tanks, of two states and degree two, .083 in place of
-.15, on the coupled drives .22 where they diverge without, on the Bouc-Wen damper .073
-for .075. On 3,750 samples of a stirred tank it is worse, .018 for .008; regions need
+blocks left out of the cascaded tanks, of two states and degree two, .088 in place of
+.148, on the coupled drives .23 where they diverge without, on the Bouc-Wen damper .071
+for .075. On 3,750 samples of a stirred tank it is worse, .0094 for .0080; regions need
 none."""
 MOST_COEFFICIENTS = 600
 """Coefficients of a candidate: of 840 (Wiener-Hammerstein, six states, degree three) it
