@@ -165,9 +165,12 @@ def _choice(board: Leaderboard, output: str, row: Candidate) -> str:
 
 def _nested(row: Candidate) -> str:
     """The nested error of a row in words, where it is known."""
-    if row.nested is None:
+    if row.nested is None or row.promised is None:
         return ""
-    return f" (nested {ratio_text(row.nested)}: made again without every group)"
+    told = f"nested {ratio_text(row.nested)}: made again without every group"
+    if row.promised != row.nested:
+        told += f"; {ratio_text(row.promised)} promised of all records"
+    return f" ({told})"
 
 
 def _proven(board: Leaderboard, row: Candidate) -> list[str]:

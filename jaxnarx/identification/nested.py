@@ -5,7 +5,14 @@ every group that is "left out" afterwards. Here a group is left out first, and t
 candidate is made again of the others: its structure stays, everything else is chosen
 anew, by the groups among them.
 
-M. Stone, "Cross-validatory choice and assessment of statistical predictions", 1974.
+These models lack a group that the one in use has. What that costs is told by the next
+step down: the groups among the others, each left out, are judged by models that lack
+two (`Candidate.data_factor`).
+
+M. Stone, "Cross-validatory choice and assessment of statistical predictions", 1974; on
+the records that a held-out error lacks P. Burman, "A comparative study of ordinary
+cross-validation, v-fold cross-validation and the repeated learning-testing methods",
+1989.
 """
 
 import dataclasses
@@ -36,6 +43,8 @@ from jaxnarx.settings import HiddenStates, Identification, Partitioner
 
 FEWEST_GROUPS = 3
 """Groups from which on two are left to choose by."""
+LEAST_INNER_ERROR = 1e-12
+"""Least error that is divided by [standard deviations]."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,14 +67,25 @@ class OuterFold:
     """The searches in closed form, of the output and (True) of its root: candidates
     that are made again share what they have grown."""
 
-    def run(self, network: Network) -> tuple[Errors, int]:
-        """Errors of a network over the group, and the records in which it diverges."""
-        return run_group(network, self.left, self.spread, self.places, begin=self.begin)
+    def run(self, network: Network, inner: float | None = None) -> "Remade":
+        """A network over the group."""
+        own = self.left, self.spread, self.places
+        return Remade(*run_group(network, *own, begin=self.begin), inner)
 
 
-Remake = Callable[[OuterFold], tuple[Errors, int]]
-"""A candidate made of these records alone, run over the group: its errors there, and
-the records in which it diverges."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class Remade:
+    """A candidate made of the records of an outer fold, run over its group."""
+
+    errors: Errors
+    diverged: int
+    """Records."""
+    inner: float | None = None
+    """Root mean square error on the groups among those records, each by a model made
+    without it too, in standard deviations of all records."""
+
+
+Remake = Callable[[OuterFold], Remade]
 
 
 def judge_nested(
@@ -107,16 +127,17 @@ class _Nested:
     def __init__(self, row: Candidate, groups: int):
         self.row, self.lost = row, False
         self.losses, self.counts = np.full(groups, np.nan), np.zeros(groups)
+        self.inner = np.full(groups, np.nan)
 
     def run(self, remake: Remake, fold: OuterFold, name: str) -> None:
         """One group more, unless an earlier one has vetoed the candidate."""
         if self.lost:
             return
         try:
-            (_, errors), lost = remake(fold)
+            found = remake(fold)
         except (JaxnarxError, np.linalg.LinAlgError):
             return
-        if lost:
+        if lost := found.diverged:
             self.lost = True
             self.row = dataclasses.replace(
                 self.row,
@@ -125,9 +146,11 @@ class _Nested:
                 diverged=self.row.diverged + lost,
                 detail=f"made again without {name} it diverges there",
             )
-        elif len(errors):
+        elif len(errors := found.errors[1]):
             self.losses[fold.g] = np.mean(errors.astype(float) ** 2)
             self.counts[fold.g] = len(errors)
+            if found.inner is not None:
+                self.inner[fold.g] = found.inner
 
     def outcome(self) -> Candidate:
         """The candidate with these errors."""
@@ -137,12 +160,23 @@ class _Nested:
             return self.row
         error = float(np.sqrt(losses[known] @ counts[known] / counts[known].sum()))
         own = tuple(float(e) if np.isfinite(e) else None for e in np.sqrt(losses))
-        judged = dataclasses.replace(self.row, nested=error, nested_groups=own)
+        judged = dataclasses.replace(
+            self.row, nested=error, nested_groups=own, data_factor=self._data_factor()
+        )
         if judged.keeps_promise or judged.free_run is None:
             return judged
         times = error / judged.free_run
         told = f"made again without a group it has {times:.2g} times the error there"
         return dataclasses.replace(judged, detail=told)
+
+    def _data_factor(self) -> float | None:
+        """`Candidate.data_factor`; None where a group has no inner error."""
+        judged = self.counts > 0
+        if self.row.free_run is None or not np.isfinite(self.inner[judged]).all():
+            return None
+        squares, counts = self.inner[judged] ** 2, self.counts[judged]
+        inner = np.sqrt(np.average(squares, weights=counts))
+        return float(min(self.row.free_run / max(inner, LEAST_INNER_ERROR), 1.0))
 
 
 def repeat_closed_form(
@@ -152,7 +186,7 @@ def repeat_closed_form(
     partitions: Mapping[str, Partitioner],
     pairs: RestPairs | None,
     fold: OuterFold,
-) -> tuple[Errors, int]:
+) -> Remade:
     """A candidate in closed form, of the output or of its `root`.
 
     The signs of physics are asked at the points of all records: these are inputs, known
@@ -161,8 +195,10 @@ def repeat_closed_form(
     if root not in fold.searches:
         own = fold.train, fold.profile, fold.groups
         fold.searches[root] = ClosedSearch(*own, root=root, pairs=pairs)
-    found = fold.searches[root].repeat(family, structure, partitions)
-    return fold.run(hold_to_range(found.network()))
+    search = fold.searches[root]
+    found = search.repeat(family, structure, partitions)
+    inner = found.free_run * search.spread / fold.spread
+    return fold.run(hold_to_range(found.network()), inner)
 
 
 class Retraining:
@@ -173,7 +209,7 @@ class Retraining:
         self.method, self.rows = method, rows
         self.networks: dict[int, list[Network]] = {}
 
-    def run(self, stage: int, fold: OuterFold) -> tuple[Errors, int]:
+    def run(self, stage: int, fold: OuterFold) -> Remade:
         """The candidate of a stage."""
         if fold.g not in self.networks:
             hidden = isinstance(self.method, HiddenStates)
@@ -183,14 +219,15 @@ class Retraining:
         return fold.run(self.networks[fold.g][stage])
 
 
-def errors_of_fold(left: Sequence[Errors], fold: OuterFold) -> tuple[Errors, int]:
+def errors_of_fold(left: Sequence[Errors], fold: OuterFold) -> Remade:
     """Errors that are known already, of every group."""
-    return left[fold.g], 0
+    return Remade(left[fold.g], 0)
 
 
-def remake_mean(remakes: Sequence[Remake], fold: OuterFold) -> tuple[Errors, int]:
+def remake_mean(remakes: Sequence[Remake], fold: OuterFold) -> Remade:
     """The mean of candidates, at the places that all of them judge."""
-    every, lost = zip(*(remake(fold) for remake in remakes), strict=True)
-    errors = [errors for (errors,) in align_errors([[one] for one in every])]
-    places = functools.reduce(np.intersect1d, (at for at, _ in every))
-    return (places, np.mean(errors, axis=0)), sum(lost)
+    every = [remake(fold) for remake in remakes]
+    errors = [errors for (errors,) in align_errors([[one.errors] for one in every])]
+    places = functools.reduce(np.intersect1d, (one.errors[0] for one in every))
+    lost = sum(one.diverged for one in every)
+    return Remade((places, np.mean(errors, axis=0)), lost)

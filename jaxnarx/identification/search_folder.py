@@ -26,7 +26,7 @@ from jaxnarx.models import Network, load, save
 SEARCH_FILE = "search.json"
 CANDIDATES_FOLDER = "candidates"
 FORMAT_VERSION = 1
-ROW_VERSION = 3
+ROW_VERSION = 4
 """Definition of what a row says, part of the key, so that rows of one leaderboard
 compare. Since 2 operations are those of the exported program, since 3 it tells whether
 runs are proven bounded."""

@@ -15,6 +15,7 @@ from jaxnarx.identification.cross_validate import cross_validate
 from jaxnarx.identification.leaderboard import Candidate
 from jaxnarx.identification.narx_candidates import propose_narx
 from jaxnarx.identification.nested import (
+    Remade,
     Retraining,
     errors_of_fold,
     judge_nested,
@@ -115,10 +116,33 @@ def test_of_two_groups_none_is_left_to_choose_by(data, seen):
     assert judge_one(ROW, remake, data, two, seen, SPREAD) is ROW
 
 
+def test_the_promise_is_that_of_one_group_more(data, seen):
+    """Errors that lack one group over errors that lack two, at most one."""
+    row = dataclasses.replace(ROW, free_run=0.01)
+    again = functools.partial(
+        repeat_closed_form, "OE", ClosedStructure(order=1), False, {}, None
+    )
+    judged = judge_one(row, again, data, groups(data), seen, SPREAD)
+    errors, counts = [], []
+    for g in range(4):
+        train = data[[n for n in range(4) if n != g]]
+        search = ClosedSearch(train, profile_data(train, "y"), groups(train))
+        errors.append(next(search.linear()).free_run * search.spread / SPREAD)
+        counts.append(len(data.records[g]) - seen.begin)
+    inner = np.average(np.square(errors), weights=counts) ** 0.5
+    factor = judged.data_factor
+    assert factor == pytest.approx(0.01 / inner, rel=1e-3)
+    promised = np.array([judged.promised, *judged.promised_groups], float)
+    before = np.array([judged.nested, *judged.nested_groups], float)
+    np.testing.assert_allclose(promised, factor * before)
+    worse = dataclasses.replace(row, free_run=100.0)
+    assert judge_one(worse, again, data, groups(data), seen, SPREAD).data_factor == 1
+
+
 def test_a_mean_is_that_of_candidates_made_again(data, seen):
     def second(fold):
-        (places, errors), _ = remake(fold)
-        return (places[5:], 3 * errors[5:]), 0
+        places, errors = remake(fold).errors
+        return Remade((places[5:], 3 * errors[5:]), 0)
 
     row = judge_one(
         ROW,
@@ -150,7 +174,8 @@ def test_what_is_made_again_knows_its_structure_alone(data, seen, monkeypatch):
     )
     row = judge_one(ROW, again, data, groups(data), seen, SPREAD)
     one = judge_one(ROW, remake, data, groups(data), seen, SPREAD)
-    assert row == one
+    assert one.data_factor is None
+    assert dataclasses.replace(row, data_factor=None) == one
     method = next(m for _, _, m in propose_narx(data, seen))
     plain = dataclasses.replace(method, refine=None)
     anew, known = Retraining(plain, 10_000), groups(data)
