@@ -9,7 +9,7 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.fleet.coefficients import names_of
 from jaxnarx.fleet.information import Information
-from jaxnarx.fleet.member import coloured_precision, know_member, sum_records
+from jaxnarx.fleet.member import know_member, sum_records
 from jaxnarx.fleet.population import root_of
 from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.formatting import brief, list_names, page
@@ -99,7 +99,7 @@ def compare_records(
 def _log_evidence(prior: FleetPrior, sums: Information) -> float:
     """Logarithm of the probability of the records under the population, up to what
     depends on their number alone."""
-    precision = coloured_precision(prior)
+    precision = np.asarray(prior.population.precision)
     root = root_of(prior.population.covariance)
     gram = root.T @ np.einsum("opq,o->pq", sums.gram, precision) @ root
     right = root.T @ np.einsum("op,o->p", sums.right, precision)

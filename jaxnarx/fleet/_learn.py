@@ -22,9 +22,7 @@ from jaxnarx.fleet.ladder import calibrate_donors
 from jaxnarx.fleet.passes import DonorWork, FittedDonors, fit_donors
 from jaxnarx.fleet.population import Population, expect
 from jaxnarx.fleet.prior import FleetPrior
-from jaxnarx.fleet.residuals import colour_of
 from jaxnarx.fleet.structure import (
-    POOLED_DONORS,
     choose_structure,
     engine_groups,
     pool_donors,
@@ -149,7 +147,6 @@ def _finish(
     """The prior about the population's mean, and what donors say of calibration."""
     found = fitted.screened
     mean, own = np.asarray(found.population.mean), work.own
-    colour = _colour(work, found)
     network = own.place(jnp.asarray(mean))
     network = _with_domain(network, work, found, pooled)
     own = dataclasses.replace(
@@ -161,7 +158,7 @@ def _finish(
         jnp.zeros_like(found.population.mean),
         found.population.covariance,
         found.population.noise,
-        jnp.asarray(colour),
+        found.population.colour,
     )
     typical = _typical_gram(found, fitted.sums)
     left = np.exp(_measure_left(found, fitted.sums))
@@ -251,11 +248,3 @@ def _measure_left(found: Screened, sums: Pass) -> Float[np.ndarray, " outputs"]:
         loss = one.loss(found.estimate[n] - sums.at[n])
         each.append(loss / np.maximum(one.samples, 1.0))
     return np.mean(np.log(np.maximum(each, 1e-300)), axis=0)
-
-
-def _colour(work: DonorWork, found: Screened) -> Float[np.ndarray, " outputs"]:
-    """How many samples of the residuals tell as much as one, in the median of some
-    donors."""
-    picked = np.flatnonzero(found.used)[:POOLED_DONORS].tolist()
-    each = [colour_of(work.own, found.estimate[n], work.runs(n)) for n in picked]
-    return np.median(each, axis=0)

@@ -63,14 +63,16 @@ def find_broken(
     sums_of: Callable[[np.ndarray], Sequence[DonorChunk]],
     there: Bool[np.ndarray, " donors"],
     output_names: list[str],
+    colour: Float[np.ndarray, " outputs"],
 ) -> Screened:
     """Population and broken donors, from the sums of all with given weights.
 
-    `there` are those that have samples; the others are not used either way.
+    `there` are those that have samples; the others are not used either way. `colour` is
+    that of the residuals, see `Population`.
     """
     count = len(there)
     chunks = sums_of(there.astype(float))
-    start = begin_population(*_joined(chunks, there))
+    start = begin_population(*_joined(chunks, there), colour)
     wide = dataclasses.replace(start, covariance=jnp.eye(len(start.mean)))
     root = root_of(np.asarray(wide.covariance))
     rough = [expect(*chunk, wide, root) for chunk in chunks]
@@ -167,7 +169,7 @@ def squared_distances(
     """d^2 of engines, and the number of directions that they tell of."""
 
     def one(right, gram, at):
-        precision = 1.0 / (population.noise * population.colour)
+        precision = population.precision
         gram = jnp.einsum("opq,o->pq", gram, precision)
         right = gram @ (at - population.mean) - precision @ right
         value, vector = jnp.linalg.eigh(gram)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxnarx.fleet.climb import Climb, climb, sums_about
-from jaxnarx.fleet.information import Information, parts_of
+from jaxnarx.fleet.information import Arrays, Information, parts_of
 from jaxnarx.fleet.passes import DonorWork, FittedDonors
 from jaxnarx.fleet.population import (
     Population,
@@ -21,12 +21,13 @@ from jaxnarx.fleet.rivals import expect_errors, judge_by_samples
 from jaxnarx.simulation import Prepared
 
 JUDGED_DONORS = 128
-"""Donors that are calibrated by the others."""
+"""Donors that are calibrated by the others; of fewer, about so many stretches."""
 FOLDS = 4
 """Parts of them that are left out together."""
 BEGIN_SHARES = (0.0, 0.1, 0.2, 0.3)
-"""Shares of a record before the samples that calibrate, donor by donor in turns: all
-may have the same excitation, and one stretch of it says little about others."""
+"""Shares of a record before the samples that calibrate, donor by donor in turns, of few
+donors several each: all may have the same excitation, and one stretch of it says little
+about others."""
 MOST_SHARE = 0.4
 """Share of a record that calibrates at most."""
 COUNTS = 8, 16, 32, 64, 128
@@ -73,7 +74,7 @@ def calibrate_donors(
     most = int(MOST_SHARE * usual)
     rungs = tuple(r for r in work.rungs if r <= most) or (max(1, most),)
     parts = min(FOLDS, len(judged))
-    begins = [BEGIN_SHARES[n // parts % len(BEGIN_SHARES)] for n in range(len(judged))]
+    begins = _begins(len(judged), parts)
     rows: list[np.ndarray] = []
     hopes: list[np.ndarray] = []
     each: list[_Judged] = []
@@ -87,10 +88,10 @@ def calibrate_donors(
             others = dataclasses.replace(others, mean=centre)
             drawn = None if fitted.linear else _climb_from(others, population)
             of_fold = [
-                _sums_of(work, prepared[n], int(begins[n] * usual), rungs, drawn)
+                _sums_of(work, prepared[n], int(share * usual), rungs, drawn)
                 for n in range(fold, len(judged), parts)
+                for share in begins[n]
             ]
-            others = dataclasses.replace(others, colour=population.colour)
             rows += _errors(work, of_fold, others)
             hopes += _expected(work, of_fold, others, typical, left)
             each = each or of_fold
@@ -102,14 +103,24 @@ def calibrate_donors(
     counts = tuple(n for n in COUNTS if n <= len(rest))
     by_count = np.zeros((len(counts), *shape))
     for row, n in zip(by_count, counts, strict=True):
-        few = _few(fitted, rest[:n])
+        few = _few(fitted, rest[:n], population.colour)
         centre = few.mean - found.population.mean
         few = dataclasses.replace(few, mean=centre)
         row[:] = _mean(_errors(work, each, few), shape)
     return Ladder(rungs, errors, expected, slope, counts, by_count)
 
 
-def _few(fitted: FittedDonors, donors: Int[np.ndarray, " some"]) -> Population:
+def _begins(donors: int, parts: int) -> list[tuple[float, ...]]:
+    """Where the stretches of every donor begin, as shares of its record."""
+    every = len(BEGIN_SHARES)
+    each = min(max(JUDGED_DONORS // donors, 1), every)
+    turns = (n // parts for n in range(donors))
+    return [tuple(BEGIN_SHARES[(t + k) % every] for k in range(each)) for t in turns]
+
+
+def _few(
+    fitted: FittedDonors, donors: Int[np.ndarray, " some"], colour: Arrays
+) -> Population:
     """The population of some donors alone."""
     there = np.zeros(len(fitted.screened.used), bool)
     there[donors] = True
@@ -117,7 +128,7 @@ def _few(fitted: FittedDonors, donors: Int[np.ndarray, " some"]) -> Population:
     sums = [Information(*(np.asarray(a)[c[2] > 0] for a in c[0])) for c in chunks]
     joined = Information(*(np.concatenate(a) for a in zip(*sums, strict=True)))
     at = np.concatenate([c[1][c[2] > 0] for c in chunks])
-    return fit_population(chunks, begin_population(joined, at))[0]
+    return fit_population(chunks, begin_population(joined, at, np.asarray(colour)))[0]
 
 
 def _mean(rows: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:

@@ -37,18 +37,11 @@ def find_member(prior: FleetPrior, runs: Prepared) -> Float[np.ndarray, " params
     return climb(prior.coefficients, runs, part, drawn, mean)
 
 
-def coloured_precision(prior: FleetPrior) -> Float[np.ndarray, " outputs"]:
-    """1 over the variance of every output's noise, as many times less as it is
-    coloured."""
-    population = prior.population
-    return 1.0 / (np.asarray(population.noise) * np.asarray(population.colour))
-
-
 def know_member(prior: FleetPrior, sums: Information) -> Posterior:
     """Mean and covariance of an engine's coefficients, from sums about the mean."""
     population = prior.population
     mean = np.asarray(population.mean)
     root = root_of(population.covariance)
     zero = np.zeros(len(root))
-    found = posterior(sums, zero, coloured_precision(prior), mean, root)
+    found = posterior(sums, zero, np.asarray(population.precision), mean, root)
     return Posterior(*map(np.asarray, found))

@@ -22,6 +22,7 @@ from jaxnarx.fleet.donors import (
 )
 from jaxnarx.fleet.information import gather_information, parts_of
 from jaxnarx.fleet.population import root_of
+from jaxnarx.fleet.residuals import colour_of
 from jaxnarx.simulation import Prepared
 
 PASSES = 4
@@ -31,6 +32,8 @@ BEGIN_SPREAD = 0.5
 of the output."""
 LINEAR_SHARE = 1e-3
 """Share of the loss by which it may differ from what was expected to first order."""
+COLOURED_DONORS = 64
+"""Donors by whose residuals it is told how coloured they are."""
 PROBED_DONORS = 8
 """Donors by whose runs that is judged."""
 
@@ -98,35 +101,62 @@ class FittedDonors:
 
 def fit_donors(work: DonorWork) -> FittedDonors:
     """The population, from sums about the network; where runs lose other than these
-    expect, from sums about the most probable coefficients of every donor."""
+    expect, from sums about the most probable coefficients of every donor.
+
+    Residuals are taken for white until there are some; the population at the end knows
+    their colour.
+    """
     params = work.shape.params
     zero = np.zeros((len(work.names), params))
-    fitted = _pass(work, 0, zero, None)
     colour = np.ones(work.shape.outputs)
+    sums, remark = _gather(work, 0, zero, None)
+    fitted = _screen(work, sums, remark, 1, colour)
     # What linear runs say of runs that are not is no start.
     start = zero
     drawn = Climb(np.zeros(params), BEGIN_SPREAD * np.eye(params), colour)
     while fitted.passes < PASSES and not _as_expected(work, fitted):
-        fitted = _pass(work, fitted.passes, start, drawn)
+        sums, remark = _gather(work, fitted.passes, start, drawn)
+        fitted = _screen(work, sums, remark, fitted.passes + 1, colour)
         found = fitted.screened.population
         root = root_of(np.asarray(found.covariance))
         start, drawn = fitted.sums.at, Climb(np.asarray(found.mean), root, colour)
-    return fitted
+    colour = _measure_colour(work, fitted.screened)
+    return _screen(work, sums, remark, fitted.passes, colour)
 
 
-def _pass(
+def _gather(
     work: DonorWork,
     number: int,
     start: Float[np.ndarray, "donors params"],
     drawn: Climb | None,
-) -> FittedDonors:
-    """The population from sums about coefficients near these."""
+) -> tuple[Pass, dict[str, str]]:
+    """Sums about coefficients near these, and what is wrong with donors that cannot be
+    run."""
     remark: dict[str, str] = {}
-    sums = work.gather(number, start, drawn, remark)
+    return work.gather(number, start, drawn, remark), remark
+
+
+def _screen(
+    work: DonorWork,
+    sums: Pass,
+    remark: dict[str, str],
+    passes: int,
+    colour: Float[np.ndarray, " outputs"],
+) -> FittedDonors:
+    """The population of the donors that are not broken."""
     there = _have_samples(sums, work.names, remark)
-    found = find_broken(sums.chunks, there, work.own.layout.base.output_names)
+    names = work.own.layout.base.output_names
+    found = find_broken(sums.chunks, there, names, colour)
     notes = remark | {work.names[n]: text for n, text in found.remark.items()}
-    return FittedDonors(found, sums, notes, number + 1)
+    return FittedDonors(found, sums, notes, passes)
+
+
+def _measure_colour(work: DonorWork, found: Screened) -> Float[np.ndarray, " outputs"]:
+    """How many samples of the residuals tell as much as one, in the median of some
+    donors."""
+    picked = np.flatnonzero(found.used)[:COLOURED_DONORS].tolist()
+    each = [colour_of(work.own, found.estimate[n], work.runs(n)) for n in picked]
+    return np.median(each, axis=0)
 
 
 def _have_samples(

@@ -4,8 +4,10 @@ Coefficients of engine e are drawn from a normal distribution, v_e ~ N(mu, Sigma
 its outputs are those of its free run with noise of variance s_o^2, output by output.
 With the sums of `information` the posterior of one engine is a small solve, and mu,
 Sigma and s_o^2 are those of the EM algorithm: N. M. Laird, J. H. Ware, Random-effects
-models for longitudinal data, Biometrics 38 (1982) 963-974, section 4. About a network
-whose run is not linear in its coefficients this is Laplace's approximation.
+models for longitudinal data, Biometrics 38 (1982) 963-974, section 4. Residuals of
+engine models are coloured: as many samples tell as much as one, and sums count that
+much less, or coefficients would seem known by which donors fit their residuals. About a
+network whose run is not linear in its coefficients this is Laplace's approximation.
 """
 
 from collections.abc import Sequence
@@ -45,6 +47,12 @@ class Population(eqx.Module):
     """Variance of what is left of every output, scaled by its gain."""
     colour: Float[Array, " outputs"]
     """Samples of that which tell as much as one that is independent."""
+
+    @property
+    def precision(self) -> Float[Arrays, " outputs"]:
+        """1 over the variance of every output's noise, as many times less as it is
+        coloured."""
+        return 1.0 / (self.noise * self.colour)
 
 
 class Posterior(NamedTuple):
@@ -101,7 +109,7 @@ def expect(
     program took several times as long.
     """
     square, right, gram, samples = map(np.asarray, information)
-    precision, mean = 1.0 / np.asarray(population.noise), np.asarray(population.mean)
+    precision, mean = np.asarray(population.precision), np.asarray(population.mean)
     whole = np.einsum("eopq,o->epq", gram, precision)
     slope = np.einsum("eop,o->ep", right, precision)
     slope = slope - np.einsum("epq,eq->ep", whole, at - mean)
@@ -126,7 +134,9 @@ def expect(
 
 
 def begin_population(
-    information: Information, at: Float[np.ndarray, "engines params"]
+    information: Information,
+    at: Float[np.ndarray, "engines params"],
+    colour: Float[np.ndarray, " outputs"],
 ) -> Population:
     """A population to begin with: coefficients of its members are the same but for a
     tenth of a standard deviation of the output, all alike."""
@@ -135,7 +145,7 @@ def begin_population(
     noise = np.maximum(noise, LEAST_VARIANCE)
     mean = np.median(at, axis=0)
     covariance = 0.01 * np.eye(len(mean))
-    return Population(*map(jnp.asarray, (mean, covariance, noise, np.ones_like(noise))))
+    return Population(*map(jnp.asarray, (mean, covariance, noise, colour)))
 
 
 def root_of(covariance: Float[Arrays, "params params"]) -> np.ndarray:

@@ -29,7 +29,7 @@ FORMAT_VERSION = 1
 ROW_VERSION = 4
 """Definition of what a row says, part of the key, so that rows of one leaderboard
 compare. Since 2 operations are those of the exported program, since 3 it tells whether
-runs are proven bounded."""
+runs are proven bounded, since 4 it has a data factor."""
 
 
 @dataclasses.dataclass(frozen=True)

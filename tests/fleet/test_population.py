@@ -4,12 +4,15 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
+import scipy.signal
 from fleet_problems import MEAN, NOISE, ROOT, donors, learnt
 
 from jaxnarx.fleet.broken import find_broken, squared_distances
 from jaxnarx.fleet.information import Information
+from jaxnarx.fleet.ladder import _begins
 from jaxnarx.fleet.population import (
     Population,
+    begin_population,
     fit_population,
     posterior,
     root_of,
@@ -102,6 +105,41 @@ def test_population_is_found_again():
     assert np.sqrt(np.mean((means - theta) ** 2)) < 0.05
 
 
+def test_coloured_residuals_are_not_taken_for_differences_of_engines():
+    """Slow inputs beside slow residuals: as white noise they widen the covariance."""
+    rng = np.random.default_rng(3)
+    pole, size, rows = 0.9, (ENGINES, 300), np.zeros((ENGINES, 300, PARAMS))
+
+    def slow():
+        noise = rng.normal(size=size)
+        return scipy.signal.lfilter([np.sqrt(1 - pole**2)], [1, -pole], noise)
+
+    for k in range(PARAMS):
+        rows[:, :, k] = slow()
+    theta = 0.05 * rng.normal(size=(ENGINES, PARAMS))
+    y = np.einsum("esp,ep->es", rows, theta) + 0.5 * slow()
+    chunks = [(sums(rows, y), np.zeros((ENGINES, PARAMS)), np.ones(ENGINES))]
+    spread, error = [], []
+    for colour in (1.0, (1 + pole) / (1 - pole)):
+        start = begin_population(*chunks[0][:2], np.array([colour]))
+        found, means, _ = fit_population(chunks, start)
+        np.testing.assert_allclose(found.noise, [0.25], rtol=0.2)
+        np.testing.assert_array_equal(found.precision, 1 / (found.noise * colour))
+        spread.append(np.sqrt(np.trace(found.covariance) / PARAMS))
+        error.append(np.sqrt(np.mean((means - theta) ** 2)))
+    assert spread[0] > 1.7 * 0.05 and 0.5 * 0.05 < spread[1] < 1.2 * 0.05
+    assert error[1] < 0.7 * error[0]
+
+
+def test_few_donors_are_judged_by_several_stretches():
+    for count, each in ((3, 4), (32, 4), (50, 2), (128, 1), (1000, 1)):
+        found = _begins(count, 4)
+        assert len(found) == count
+        assert all(len(set(own)) == each for own in found)
+    # Donors of one part begin elsewhere.
+    assert len({own[0] for own in _begins(128, 4)[::4]}) == 4
+
+
 def test_distance_is_that_of_the_estimate():
     x, y, _, mean, root = draw()
     population = Population(
@@ -135,7 +173,7 @@ def test_broken_engines_are_found_and_the_rest_is_as_without_them():
         def of(weight):
             return [(every, np.zeros((ENGINES, PARAMS)), weight)]
 
-        return find_broken(of, there, ["y"])
+        return find_broken(of, there, ["y"], np.ones(1))
 
     found = screen(broken, there)
     assert set(found.remark) == {4, 9, 17}
