@@ -101,9 +101,11 @@ class FakeSearch:
         folder,
         progress,
         physics,
+        at_rest,
     ) -> Solution[Network]:
         self.options = {"preset": preset, "budget": budget, "candidates": candidates}
         self.options |= {"physics": physics} if physics else {}
+        self.options |= {"at_rest": at_rest} if at_rest is not None else {}
         self.options["groups"] = [record.group for record in data]
         key = {"preset": preset, "records": data.names, "outputs": outputs}
         if self.error is not None:

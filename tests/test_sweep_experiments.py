@@ -176,6 +176,15 @@ def test_a_step_of_control_is_timed_beside_ipopt(tmp_path):
 
 
 @pytest.mark.slow
+def test_operating_points_at_rest_beside_short_records(tmp_path):
+    experiment("physics/at_rest.py", "--results", str(tmp_path))
+    figures = json.loads((tmp_path / "at_rest.json").read_text())["figures"]
+    (bed,) = figures["beds"].values()
+    (row,) = bed.values()
+    assert all(0 < row[n]["test"] < 0.5 and not row[n]["diverged"] for n in row)
+
+
+@pytest.mark.slow
 def test_signs_of_gains_on_a_tenth_of_the_records(tmp_path, measured):
     options = "--results", str(tmp_path), "--runs", str(tmp_path / "runs")
     experiment("physics/gengine1_tenth.py", *options)

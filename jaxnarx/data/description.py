@@ -19,6 +19,8 @@ from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
 from jaxnarx.settings import Physics, from_dict, require_physics
 
 PARTS = ("train", "validate", "test")
+NO_PARTS = ("groups", "at_rest")
+"""Keys of [records] that name no part."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,9 +29,10 @@ class Description:
 
     `columns` maps channel names to column names; `patterns` maps parts (`files`, or
     `train`, `validate`, `test`) to glob patterns, `groups` the names of what is left
-    out together in cross-validation. `preparation` is a file, relative to
-    the root, that tells how the files were made from raw ones. `physics` has the signs
-    of gains by output.
+    out together in cross-validation, `at_rest` patterns of files whose rows are
+    operating points, measured when all had settled. `preparation` is a file, relative
+    to the root, that tells how the files were made from raw ones. `physics` has the
+    signs of gains by output.
     """
 
     channels: Channels
@@ -45,6 +48,7 @@ class Description:
     time_unit: str | None = None
     groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     physics: Mapping[str, Physics] = dataclasses.field(default_factory=dict)
+    at_rest: tuple[str, ...] = ()
 
     def require_time(self) -> None:
         """SpecError where nothing says when rows were taken; for files that do not."""
@@ -158,6 +162,9 @@ def parse_description(table: Mapping[str, Any]) -> Description:
         time_unit=settings.get("time_unit"),
         groups=_groups(records.get("groups", {})),
         physics=_physics(table.get("physics", {}), channels),
+        at_rest=tuple(
+            _require_type(records.get("at_rest", []), list, "records.at_rest")
+        ),
     )
 
 
@@ -224,11 +231,11 @@ def _channels(section) -> tuple[Channels, dict[str, str]]:
 
 
 def _patterns(section) -> dict[str, tuple[str, ...]]:
-    _require_keys(section, ("files", *PARTS, "groups"), "records")
+    _require_keys(section, ("files", *PARTS, *NO_PARTS), "records")
     found = {
         k: tuple(_require_type(v, list, f"records.{k}"))
         for k, v in section.items()
-        if k != "groups"
+        if k not in NO_PARTS
     }
     if "files" in found and len(found) > 1:
         raise SpecError(

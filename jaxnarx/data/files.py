@@ -21,7 +21,7 @@ from jaxnarx.data.readers.columns import CsvLayout, Table, numbers, table_source
 from jaxnarx.data.readers.csv_layout import find_layout
 from jaxnarx.data.units import Conversion, bare, conversion
 from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
-from jaxnarx.formatting import brief, page
+from jaxnarx.formatting import brief, count, page
 from jaxnarx.settings import Physics
 
 MAX_BYTES = 4e9
@@ -34,7 +34,8 @@ class Split:
     """The parts of a description; a part that it does not name is None.
 
     `preparation` is what was done to the files before, if the description says so;
-    `physics` are the signs of gains that it states, by output.
+    `physics` are the signs of gains that it states, by output; every sample of
+    `at_rest` is an operating point.
     """
 
     train: Dataset | None
@@ -43,6 +44,7 @@ class Split:
     all: Dataset
     preparation: Preparation | None = None
     physics: Mapping[str, Physics] = dataclasses.field(default_factory=dict)
+    at_rest: Dataset | None = None
 
     def __str__(self) -> str:
         parts = {"train": self.train, "validate": self.validate, "test": self.test}
@@ -50,6 +52,8 @@ class Split:
         if self.preparation is not None:
             told.append(str(self.preparation))
         told += [f"{name} {physics}" for name, physics in self.physics.items()]
+        if self.at_rest is not None:
+            told.append(count(self.at_rest.samples, "operating point") + " at rest")
         return "\n\n".join(told)
 
     __repr__, _repr_html_ = brief, page
@@ -96,7 +100,8 @@ def read_split(
 
     Returns:
         `train`, `validate`, `test`, None where it does not name them, and `all` as by
-        `read`. A description that lists `files` gives only `all`.
+        `read`. A description that lists `files` gives only `all`. Files of `at_rest`
+        are in none of these.
     """
     path = Path(path)
     description = load_description(path)
@@ -112,6 +117,7 @@ def read_split(
         all=data,
         preparation=_preparation(path, description, root),
         physics=description.physics,
+        at_rest=_read_at_rest(path, description, root, max_bytes, data),
     )
 
 
@@ -190,6 +196,29 @@ def _read(
         for record, n in zip(data, origin, strict=True)
     )
     return dataclasses.replace(data, records=records), [found[n][2] for n in origin]
+
+
+def _read_at_rest(
+    path: Path, description: Description, root, max_bytes: float, data: Dataset
+) -> Dataset | None:
+    """The operating points that the description names; its rows have no time."""
+    if not description.at_rest:
+        return None
+    own = dataclasses.replace(
+        description,
+        channels=data.channels,
+        patterns={"at_rest": description.at_rest},
+        sample_time=data.sample_time,
+        time=None,
+        missing="mask",
+    )
+    with guard_reading(path, "a description", advice="Correct it."):
+        folder = _root(path, root, description)
+        found = find_files(own, folder, path)
+    files = list(dict.fromkeys(file for file, *_ in found))
+    names = dict(zip(files, _record_names(files, folder), strict=True))
+    chosen = [(file, cut) for file, cut, _ in found]
+    return _assemble_records(chosen, names, own, max_bytes)[0]
 
 
 def _assemble_records(

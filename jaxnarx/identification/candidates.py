@@ -123,16 +123,18 @@ class CandidateSearch:
         partitions: Mapping[str, Partitioner] | None = None,
         watch: Watch = lambda trying: None,
         physics: Physics | None = None,
+        at_rest: Dataset | None = None,
     ):
         """`known` are candidates that need not be tried again; `late` tells that the
         time is up; `added` and `partitions` are those of other packages; `watch` hears
-        what is tried; `physics` has the signs of gains that every candidate keeps."""
+        what is tried; `physics` has the signs of gains that every candidate keeps;
+        `at_rest` are operating points that candidates in closed form are trained on."""
         self.added, self.partitions = dict(added or {}), dict(partitions or {})
         self.data, self.profile = data, profile
         self.groups, self.preset = groups, preset
         self.known = {(row.family, row.name): row for row in known}
         self.late, self.passed, self.spread = late, 0, 1.0
-        self.watch, self.physics = watch, physics
+        self.watch, self.physics, self.at_rest = watch, physics, at_rest
         self.pairs = None
         if physics is not None:
             self.pairs = make_pairs(data, physics, output=profile.output)
@@ -232,7 +234,7 @@ class CandidateSearch:
 
     def _closed_search(self, root: bool) -> ClosedSearch:
         own = self.data, self.profile, self.groups
-        return ClosedSearch(*own, root=root, pairs=self.pairs)
+        return ClosedSearch(*own, root=root, pairs=self.pairs, at_rest=self.at_rest)
 
     def _closed_forms(self, *, root: bool = False) -> Iterator[Tried]:
         """Candidates in closed form, of the output or of its root."""
@@ -255,9 +257,12 @@ class CandidateSearch:
                 row, network = self._score_closed_form(
                     found, time.perf_counter() - begin
                 )
-                again = found.family, found.structure, root, self.partitions, self.pairs
                 self.remakes[_title(row.family, row.name)] = functools.partial(
-                    repeat_closed_form, *again
+                    repeat_closed_form,
+                    found.family,
+                    found.structure,
+                    self.partitions,
+                    {"root": root, "pairs": self.pairs, "at_rest": self.at_rest},
                 )
                 if found.structure.models > 1:
                     self.divided[row.family, row.name] = row, found.structure

@@ -18,6 +18,7 @@ cross-validation, v-fold cross-validation and the repeated learning-testing meth
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,6 @@ from jaxnarx.partition import (
     ClosedStructure,
     DataProfile,
     Errors,
-    RestPairs,
     align_errors,
     profile_data,
 )
@@ -182,19 +182,19 @@ class _Nested:
 def repeat_closed_form(
     family: str,
     structure: ClosedStructure,
-    root: bool,
     partitions: Mapping[str, Partitioner],
-    pairs: RestPairs | None,
+    known: Mapping[str, Any],
     fold: OuterFold,
 ) -> Remade:
-    """A candidate in closed form, of the output or of its `root`.
+    """A candidate in closed form; `known` are the keywords of `ClosedSearch`.
 
     The signs of physics are asked at the points of all records: these are inputs, known
-    beforehand.
+    beforehand. Operating points at rest are in no group.
     """
+    root = known["root"]
     if root not in fold.searches:
         own = fold.train, fold.profile, fold.groups
-        fold.searches[root] = ClosedSearch(*own, root=root, pairs=pairs)
+        fold.searches[root] = ClosedSearch(*own, **known)
     search = fold.searches[root]
     found = search.repeat(family, structure, partitions)
     inner = found.free_run * search.spread / fold.spread

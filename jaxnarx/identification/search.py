@@ -48,6 +48,7 @@ def search(
     folder: Path | None,
     progress: Tell | None,
     physics: Mapping[str, Physics],
+    at_rest: Dataset | None,
 ) -> Solution[Network]:
     """The best model by groups left out; see `jaxnarx.identify`."""
     tell = progress or (lambda event: None)
@@ -71,6 +72,8 @@ def search(
     if physics:
         signs = {name: one.signs for name, one in sorted(physics.items())}
         key["physics"] = plain_value(signs)
+    if at_rest is not None:
+        key["at_rest"] = data_hash(at_rest)
     linear = PRESETS[preset].linear
     added = {} if linear else CANDIDATES.added
     partitions = {} if linear else PARTITIONS.added
@@ -91,6 +94,7 @@ def search(
                 added,
                 partitions,
                 physics.get(name),
+                at_rest,
             )
             for name, one in profiles.items()
         }

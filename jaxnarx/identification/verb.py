@@ -15,6 +15,7 @@ from jaxnarx.errors import DataError, SpecError, suggest
 from jaxnarx.identification._by_method import Events, run_method
 from jaxnarx.identification.search import search
 from jaxnarx.models import Network
+from jaxnarx.partition import rest_points
 from jaxnarx.settings import PRESETS, Identification, Physics, require_physics
 from jaxnarx.solution import Solution
 
@@ -37,6 +38,7 @@ def identify(
     folder: str | os.PathLike[str] | None = None,
     progress: Events | None = None,
     physics: Mapping[str, Physics] | None = None,
+    at_rest: Dataset | None = None,
 ) -> Solution[Network]:
     """The best model of the data, found by a search or made as `method` says.
 
@@ -63,8 +65,7 @@ def identify(
     Args:
         data: Records to be trained on.
         method: The settings of all steps. Without it the search decides; the arguments
-            that follow, up to `groups` and also `folder` and `physics`, are the
-            search's own.
+            that follow, but for `validation` and `progress`, are the search's own.
         preset: `"quick"` (about a minute), `"good"`, `"best"` (an hour and more; the
             smallest error whatever it costs), `"ecu"` (the fewest operations within 5 %
             of the best, stable for certain) or `"linear"`; see
@@ -97,6 +98,10 @@ def identify(
             as `{"NOx": Physics(increases_with=["ignition"])}`. They are constraints of
             candidates in closed form, at measured samples spread over the data, and a
             veto on all others; `unconstrained` of a candidate tells what they cost.
+        at_rest: Operating points measured at rest: every sample is one, with inputs
+            that were held until the outputs had settled. Candidates in closed form are
+            trained on them too, each as much as on a settled record as long as the
+            memory; the network's ranges hold them. They judge nothing.
 
     Returns:
         `value` is the network. Of a search: `stats["leaderboard"]` holds all candidates
@@ -112,7 +117,15 @@ def identify(
         print(fit.status_name)
     """
     asked = _Wanted(
-        preset, budget, candidates, tuple(outputs), states, groups, folder, physics
+        preset,
+        budget,
+        candidates,
+        tuple(outputs),
+        states,
+        groups,
+        folder,
+        physics,
+        at_rest,
     )
     if method is None:
         return _search(data, asked, validation, progress)
@@ -138,6 +151,7 @@ class _Wanted:
     groups: Groups | None = None
     folder: str | os.PathLike[str] | None = None
     physics: Mapping[str, Physics] | None = None
+    at_rest: Dataset | None = None
 
     def asks(self, name: str) -> bool:
         """Whether something else than the default is asked for."""
@@ -185,7 +199,11 @@ def _search(
     known = data.channels
     names = asked.outputs or known.output_names
     kept = tuple(c for c in known.outputs if c.name in names)
-    data = match_channels(data, Channels(known.inputs, kept))[0]
+    chosen = Channels(known.inputs, kept)
+    data = match_channels(data, chosen)[0]
+    at_rest = asked.at_rest
+    if at_rest is not None:
+        at_rest = _match_points(at_rest, chosen)
     if validation is not None and asked.groups is not None:
         raise SpecError(
             "groups and validation: name the group of all records, those for "
@@ -206,7 +224,25 @@ def _search(
         folder=None if asked.folder is None else Path(asked.folder),
         progress=progress,
         physics=asked.physics or {},
+        at_rest=at_rest,
     )
+
+
+def _match_points(at_rest: Dataset, channels: Channels) -> Dataset:
+    """Operating points of these channels; SpecError where one is not theirs, DataError
+    where an output has no point."""
+    try:
+        at_rest = match_channels(at_rest, channels)[0]
+    except SpecError as error:
+        raise SpecError(f"at_rest: {error}", field="at_rest") from error
+    for name in channels.output_names:
+        if rest_points(at_rest, name) is None:
+            raise DataError(
+                f"at rest: no operating point has {name!r} and all inputs. Add some, "
+                "or model the other outputs apart.",
+                channel=name,
+            )
+    return at_rest
 
 
 def _require_moving(data: Dataset) -> None:

@@ -62,6 +62,7 @@ class OutputTask:
     added: Mapping[str, CandidateFactory] = dataclasses.field(default_factory=dict)
     partitions: Mapping[str, Partitioner] = dataclasses.field(default_factory=dict)
     physics: Physics | None = None
+    at_rest: Dataset | None = None
 
     def run(self, watch: Watch) -> Iterator[Tried]:
         """Its candidates; `watch` hears of each while it is tried."""
@@ -76,6 +77,7 @@ class OutputTask:
             partitions=self.partitions,
             watch=watch,
             physics=self.physics,
+            at_rest=self.at_rest,
         )
         yield from found
 

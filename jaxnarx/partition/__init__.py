@@ -12,6 +12,7 @@ from jaxnarx.partition.closed_form.physics import RestPairs as RestPairs
 from jaxnarx.partition.closed_form.physics import make_pairs as make_pairs
 from jaxnarx.partition.closed_form.profile import DataProfile as DataProfile
 from jaxnarx.partition.closed_form.profile import profile_data as profile_data
+from jaxnarx.partition.closed_form.rest import rest_points as rest_points
 from jaxnarx.partition.closed_form.search import OF_ROOT as OF_ROOT
 from jaxnarx.partition.closed_form.search import ClosedSearch as ClosedSearch
 from jaxnarx.partition.closed_form.sums import Errors as Errors

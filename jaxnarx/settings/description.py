@@ -30,6 +30,7 @@ DESCRIPTION = """All keys of a description of records:
     # of a long file: "long.csv @ 0:500" (seconds), "long.csv @ engine_on > 0.5"
     # of numbered columns: "runs.mat @ #1,2,5"
     groups = {cold = ["day1_*"], warm = ["day2_*"]}   # left out together, see below
+    at_rest = ["steady.csv"]     # operating points, a row each, see below
     [physics]                    # signs of gains at rest, by output, see below
     NOx = {increases_with = ["load"], decreases_with = ["speed"]}
 
@@ -57,6 +58,10 @@ has all columns makes a record, and those behind @ # are chosen.
 groups names training records that are left out together where models are judged on what
 they were not trained on; a list of lists of patterns serves as well. Records in no
 group are put together where they repeat each other's inputs.
+
+Rows of at_rest are operating points, measured with inputs that were held until all had
+settled, in any order and without a time. A search trains on them beside the records;
+they judge nothing. Cells of outputs that were not measured stay empty.
 
 physics names inputs with which an output at rest must not fall (increases_with) or not
 rise (decreases_with). A search keeps these signs and tells what they cost.

@@ -260,6 +260,8 @@ def _identify_by_method(
     method = check_method(asked, split.all.channels)
     if split.physics:
         warn("[physics] belongs to a search: this one method keeps no signs")
+    if split.at_rest is not None:
+        warn("at_rest belongs to a search: this one method is trained on records alone")
     task = preparation_task(split.preparation, OneMethod(method, typed))
     outputs = method.pool.outputs
     name = f"{Path(command.description).stem}-{'-'.join(outputs[:3])}"

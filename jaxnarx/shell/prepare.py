@@ -26,7 +26,7 @@ from jaxnarx.data import (
 )
 from jaxnarx.errors import ModelFileError, SpecError
 from jaxnarx.shell.commands import Prepare
-from jaxnarx.shell.messages import count, say
+from jaxnarx.shell.messages import count, say, warn
 from jaxnarx.shell.output import (
     file_names,
     run_folder,
@@ -95,6 +95,8 @@ def write_prepared(
     named = {"train": split.train, "validate": split.validate, "test": split.test}
     parts = {k: v for k, v in named.items() if v is not None} or {"files": split.all}
     fitted_to = parts.get("train", split.all)
+    if split.at_rest is not None:
+        warn("operating points at rest are not prepared, nor named by what is written")
     say(
         f"Fitted to {count(len(fitted_to), 'record')}, "
         f"{count(fitted_to.samples, 'sample')}"

@@ -50,3 +50,11 @@ def refuse(error, path, *said, **options):
     for words in said:
         assert words in str(caught.value), str(caught.value)
     return caught.value
+
+
+def grouped(folder, groups, train='["s*.csv"]', data=""):
+    """Three records for training, one for testing."""
+    for k, name in enumerate(["s1", "s2", "s3", "t1"]):
+        (folder / f"{name}.csv").write_text(HEADER + rows(20 + k))
+    records = f'train = {train}\ntest = ["t*.csv"]\ngroups = {groups}'
+    return write(folder, None, data=data, records=records)

@@ -6,11 +6,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 import pytest
-from described import HEADER, mixed, refuse, rows, write
+from described import HEADER, grouped, mixed, refuse, rows, write
 
 from jaxnarx.data import read, read_split
 from jaxnarx.errors import DataError, DataFileError, SpecError
-from jaxnarx.settings import Physics
 
 
 @pytest.fixture(autouse=True)
@@ -503,13 +502,6 @@ def test_what_a_file_holds_does_not_act_on_the_terminal(tmp_path):
 # groups ---------------------------------------------------------------------------
 
 
-def grouped(folder, groups, train='["s*.csv"]', data=""):
-    for k, name in enumerate(["s1", "s2", "s3", "t1"]):
-        (folder / f"{name}.csv").write_text(HEADER + rows(20 + k))
-    records = f'train = {train}\ntest = ["t*.csv"]\ngroups = {groups}'
-    return write(folder, None, data=data, records=records)
-
-
 @pytest.mark.parametrize(
     ("groups", "found"),
     [
@@ -586,42 +578,3 @@ def test_what_several_files_have_alike_is_told_once(tmp_path):
     path.write_text(path.read_text().replace('"ppm"', '"-"'))
     notes = read(path).notes
     assert len(notes) == 1 and "and 2 more" in notes[0], notes
-
-
-# physics --------------------------------------------------------------------------
-
-
-def with_physics(folder: Path, text: str) -> Path:
-    path = grouped(folder, "{}")
-    path.write_text(path.read_text() + f"\n[physics]\n{text}\n")
-    return path
-
-
-def test_signs_of_gains_are_with_the_split(tmp_path):
-    text = 'NOx = {increases_with = ["TRQ"], decreases_with = ["N"]}'
-    split = read_split(with_physics(tmp_path, text))
-    known = Physics(increases_with=["TRQ"], decreases_with=["N"])
-    assert split.physics == {"NOx": known}
-    assert str(split).endswith("NOx rises with TRQ and falls with N")
-    assert not read_split(grouped(tmp_path, "{}")).physics
-
-
-@pytest.mark.parametrize(
-    ("text", "field", "said"),
-    [
-        ('CO = {increases_with = ["TRQ"]}', "physics", "no output 'CO'"),
-        ('NOx = {increases_with = ["TRG"]}', "physics.NOx", "Did you mean 'TRQ'"),
-        ('NOx = ["TRQ"]', "physics.NOx", "must be a table"),
-        ('NOx = {rises = ["TRQ"]}', "physics.NOx.rises", "unknown key 'rises'"),
-        ("NOx = {increases_with = 3}", "physics.NOx.increases_with", "got 3"),
-        ("NOx = {}", "physics.NOx.increases_with", "says nothing"),
-        (
-            'NOx = {increases_with = ["TRQ"], decreases_with = ["TRQ", "N"]}',
-            "physics.NOx.increases_with",
-            "contradict each other: TRQ is in both",
-        ),
-    ],
-)
-def test_physics_that_cannot_be_is_refused(tmp_path, text, field, said):
-    caught = refuse(SpecError, with_physics(tmp_path, text), "d.toml: ", said)
-    assert caught.field == field

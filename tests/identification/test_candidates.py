@@ -54,7 +54,7 @@ def judged(monkeypatch, few) -> dict:
     class Fake(ClosedSearch):
         spread = 1.5  # pyright: ignore
 
-        def __init__(self, *_, root=False, pairs=None):
+        def __init__(self, *_, root=False, **known):
             said.setdefault("roots", []).append(root)
 
         def candidates(self, **limits):  # pyright: ignore

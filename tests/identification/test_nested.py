@@ -120,7 +120,7 @@ def test_the_promise_is_that_of_one_group_more(data, seen):
     """Errors that lack one group over errors that lack two, at most one."""
     row = dataclasses.replace(ROW, free_run=0.01)
     again = functools.partial(
-        repeat_closed_form, "OE", ClosedStructure(order=1), False, {}, None
+        repeat_closed_form, "OE", ClosedStructure(order=1), {}, {"root": False}
     )
     judged = judge_one(row, again, data, groups(data), seen, SPREAD)
     errors, counts = [], []
@@ -170,7 +170,7 @@ def test_a_mean_is_that_of_candidates_made_again(data, seen):
 def test_what_is_made_again_knows_its_structure_alone(data, seen, monkeypatch):
     """A closed form, and a method with the rows of its fold."""
     again = functools.partial(
-        repeat_closed_form, "OE", ClosedStructure(order=1), False, {}, None
+        repeat_closed_form, "OE", ClosedStructure(order=1), {}, {"root": False}
     )
     row = judge_one(ROW, again, data, groups(data), seen, SPREAD)
     one = judge_one(ROW, remake, data, groups(data), seen, SPREAD)

@@ -1,4 +1,4 @@
-"""Signs of gains in a search: kept, told, and part of what a folder holds."""
+"""What is known beside records: signs of gains, operating points at rest."""
 
 import csv
 import dataclasses
@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from search_problems import plant
 
-from jaxnarx.errors import SpecError
+from jaxnarx.data import Dataset
+from jaxnarx.errors import DataError, SpecError
 from jaxnarx.evaluation import count_wrong_signs
 from jaxnarx.identification import Leaderboard, Physics, identify, sentences
 
@@ -82,3 +83,42 @@ def test_the_table_has_the_error_without_constraints(fit):
     table = csv.DictReader(io.StringIO(fit.stats["leaderboard"].to_csv()))
     for row in table:
         assert float(row["unconstrained"]) == pytest.approx(float(row["free_run"]))
+
+
+def points(valid: bool = True) -> Dataset:
+    """What the plant has at rest."""
+    u = np.linspace(-1.5, 1.5, 7)[:, None]
+    y = np.tanh(2.5 * u) / 0.3
+    found = Dataset.from_arrays([u], [y], inputs=["u"], outputs="y", sample_time=0.1)
+    (record,) = found
+    known = np.stack([np.ones(7, bool), np.full(7, valid)], axis=1)
+    return dataclasses.replace(
+        found, records=(dataclasses.replace(record, valid=known),)
+    )
+
+
+def test_points_at_rest_train_and_are_part_of_what_a_folder_holds(tmp_path):
+    plain = identify(plant(), preset="linear", folder=tmp_path / "plain")
+    found = identify(plant(), preset="linear", at_rest=points(), folder=tmp_path / "a")
+    again = identify(plant(), preset="linear", at_rest=points(), folder=tmp_path / "a")
+    boards = [one.stats["leaderboard"] for one in (plain, found, again)]
+    assert boards[1] == boards[2] != boards[0]
+    # Records judge as before, but for what points have changed.
+    for one, other in zip(boards[0], boards[1], strict=True):
+        assert len(one.groups) == len(other.groups)
+    low, high = (np.asarray(a)[0] for a in (found.value.low, found.value.high))
+    assert low == -1.5 and high == 1.5
+    with pytest.raises(SpecError, match="a search that differs in at_rest"):
+        identify(plant(), preset="linear", folder=tmp_path / "a")
+
+
+def test_points_at_rest_that_tell_nothing_are_refused():
+    with pytest.raises(DataError, match="no operating point has 'y'") as caught:
+        identify(plant(), preset="linear", at_rest=points(valid=False))
+    assert caught.value.channel == "y"
+    (record,) = points()
+    other = Dataset.from_arrays(
+        [record.u], [record.y], inputs=["v"], outputs="y", sample_time=0.1
+    )
+    with pytest.raises(SpecError, match="at_rest: the data have no channel 'u'"):
+        identify(plant(), preset="linear", at_rest=other)

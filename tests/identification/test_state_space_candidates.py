@@ -252,7 +252,7 @@ def asked(monkeypatch, closed) -> dict:
     class Fake(ClosedSearch):
         spread = 1.5  # pyright: ignore
 
-        def __init__(self, *_, root=False, pairs=None):
+        def __init__(self, *_, root=False, **known):
             pass
 
         def candidates(self, **_):  # pyright: ignore

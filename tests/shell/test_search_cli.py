@@ -363,3 +363,18 @@ def test_physics_of_the_description_is_handed_on(home, patched, capsys, tmp_path
     code, out, _ = typed(capsys, line)
     assert code == 0 and fake.options["physics"] == {"y": Physics(increases_with=["a"])}
     assert "By physics, at rest: y rises with a\n" in out
+
+
+def test_operating_points_of_the_description_are_handed_on(
+    home, patched, capsys, tmp_path
+):
+    patched.chdir(home)
+    first = (home / "r1.csv").read_text().splitlines()
+    (home / "steady.csv").write_text("\n".join(first[:6]) + "\n")
+    text = TOML.replace("[records]", '[records]\nat_rest = ["steady.csv"]')
+    (home / "points.toml").write_text(text)
+    fake = searching(patched)
+    line = f"identify points.toml --output y --out {tmp_path / 'points'}"
+    code, out, _ = typed(capsys, line)
+    assert code == 0 and fake.options["at_rest"].samples == 5
+    assert "5 operating points at rest, of steady\n" in out

@@ -259,19 +259,30 @@ class BlockDesign:
             out.append(raw)
         return out
 
-    def held_out_losses(self, ridge: float) -> Float[np.ndarray, " groups"]:
-        """Sum of squared errors of every group by a model made without it."""
+    def held_out_losses(self, ridge: float) -> Float[np.ndarray, "2 groups"]:
+        """Sum of squared errors of every group by a model made without it, and of the
+        operating points at rest that are held out with it."""
         out = []
         for g in range(len(self.signals.apart)):
             theta = self.equations.exclude_group(g).solve(ridge)
-            out.append(self.loss(g, self.answers(g, theta[None])[0]))
-        return np.array(out)
+            out.append(self._losses(g, theta[None])[:, 0])
+        return np.stack(out, axis=1)
+
+    def _losses(
+        self, group: int, theta: Float[np.ndarray, "models columns"]
+    ) -> Float[np.ndarray, "2 models"]:
+        """Squared errors of a group by several models, and of its operating points."""
+        out = np.zeros((2, len(theta)))
+        for row, part in enumerate((group, self.signals.rest_part(group))):
+            if part is not None:
+                out[row] = [self.loss(part, run) for run in self.answers(part, theta)]
+        return out
 
     def curve(
         self, ridge: float, sizes: Sequence[int], first: Sequence[int]
-    ) -> Float[np.ndarray, "groups sizes"]:
+    ) -> Float[np.ndarray, "2 groups sizes"]:
         """The same with so many columns, chosen anew without the group."""
-        out = np.empty((len(self.signals.apart), len(sizes)))
+        out = np.empty((2, len(self.signals.apart), len(sizes)))
         for g in range(len(self.signals.apart)):
             path = self.equations.exclude_group(g).select_forward(
                 ridge, max(sizes), first
@@ -280,7 +291,7 @@ class BlockDesign:
             for row, size in zip(theta, sizes, strict=True):
                 at, own = path.truncate(size)
                 row[at] = own
-            out[g] = [self.loss(g, run) for run in self.answers(g, theta)]
+            out[:, g] = self._losses(g, theta)
         return out
 
     def answers(

@@ -28,11 +28,9 @@ def equation_error(
     parts = signals.apart.shape[1]
     trains = np.full(parts, True) if without is None else ~signals.apart[without]
     for one in signals.stretches:
-        past = np.concatenate([one.before[:order][::-1], one.y])
-        lags = [past[order - i : order - i + len(one.y)] for i in range(1, order + 1)]
         at = np.concatenate([c for c, t in zip(one.counted, trains, strict=True) if t])
         terms = np.asarray(evaluate(signals.factor, one.z[:, at]))
-        rows = np.concatenate([-np.stack(lags)[:, at], terms])
+        rows = np.concatenate([-one.lags(one.y, order)[:, at], terms])
         gram += rows @ rows.T
         right += rows @ one.y[at]
     if signs is None:

@@ -139,20 +139,13 @@ def derivatives(
     for one, run in zip(design.signals.stretches, runs, strict=True):
         rows = np.concatenate(
             [
-                _shifts(one, run, len(design.a) - 1),
+                -one.lags(run, len(design.a) - 1),
                 _turns(design, theta, one, places),
             ]
         )
         moved = one.filter_columns(rows, design.a) if len(rows) else rows
         parts.append([moved[:, at] for at in one.counted])
     return [np.concatenate(own, axis=1) for own in zip(*parts, strict=True)]
-
-
-def _shifts(one: Stretch, run: np.ndarray, order: int) -> np.ndarray:
-    """-q^-i y for every i."""
-    past = np.concatenate([one.before[:order][::-1], run])
-    rows = [-past[order - i : order - i + len(run)] for i in range(1, order + 1)]
-    return np.array(rows).reshape(order, len(run))
 
 
 def _turns(

@@ -87,12 +87,23 @@ class GrownStage:
     """Sum of squared errors of every group left out."""
     size: int
     ridge: float
+    at_rest: float = 0.0
+    """Sum of squared errors of operating points that were held out with the groups."""
 
     @property
-    def score(self) -> float:
+    def error(self) -> float:
         """Root mean square error of the groups left out, in standard deviations."""
         count = self.design.equations.judged.sum()
         return float(np.sqrt(self.losses.sum() / max(count, 1.0)))
+
+    @property
+    def score(self) -> float:
+        """The same of groups and operating points, by which stages are compared."""
+        own, points = self.design.equations, 0.0
+        if self.design.signals.has_rest:
+            points = own.samples[-len(own.apart) :].sum()
+        count = max(own.judged.sum() + points, 1.0)
+        return float(np.sqrt((self.losses.sum() + self.at_rest) / count))
 
     def held_out_runs(self) -> list[Float[np.ndarray, " _"]]:
         """Free runs over every group by a model made without it, not held."""
@@ -139,8 +150,10 @@ def choose_size(
     @functools.cache
     def stage(place: int) -> GrownStage:
         curve = design.curve(RIDGES_TRIED[place], sizes, first)
-        n = int(curve.sum(axis=0).argmin())
-        return GrownStage(design, leaves, curve[:, n], sizes[n], RIDGES_TRIED[place])
+        n = int(curve.sum(axis=(0, 1)).argmin())
+        losses, points = curve[:, :, n]
+        size, ridge = sizes[n], RIDGES_TRIED[place]
+        return GrownStage(design, leaves, losses, size, ridge, float(points.sum()))
 
     at = min(
         (RIDGES_TRIED.index(ridge) for ridge in ridges), key=lambda n: stage(n).score

@@ -51,6 +51,7 @@ class ClosedForm:
     name: str
     stage: GrownStage
     data: Dataset
+    """What tells the ranges of the network."""
     structure: ClosedStructure
     given: Float[np.ndarray, " columns"] | None = None
     """Coefficients that are not those of least squares of the free run ..."""
@@ -64,7 +65,7 @@ class ClosedForm:
     @property
     def free_run(self) -> float:
         """NRMSE over the groups left out."""
-        return self.stage.score
+        return self.stage.error
 
     def losses(self) -> Float[np.ndarray, " groups"]:
         """Mean squared error of every group; NaN where no sample of it counts."""
@@ -94,10 +95,11 @@ class ClosedForm:
         driven = self.stage.design.driven(self.coefficients())
         places, errors = [], []
         for one, raw in zip(self._signals.stretches, driven, strict=True):
-            past = np.concatenate([one.before[:order][::-1], one.y])
+            if one.at_rest:
+                continue
             at = np.concatenate(one.counted)
             places.append(one.first + at)
-            ahead = one.y - (np.convolve(past, a, mode="valid") - raw)
+            ahead = raw - a[1:] @ one.lags(one.y, order)
             seen, told = self._signals.to_output(np.stack([one.y, ahead])[:, at])
             errors.append(seen - told)
         return np.concatenate(places), np.concatenate(errors)

@@ -30,8 +30,8 @@ from jaxnarx.models import ranges
 from jaxnarx.partition.closed_form.design_matrix import BlockDesign, weight
 from jaxnarx.partition.closed_form.model import ClosedForm
 from jaxnarx.partition.closed_form.profile import input_levels
-from jaxnarx.partition.closed_form.signals import RunSignals
-from jaxnarx.regressors import evaluate, static_gains
+from jaxnarx.partition.closed_form.rest import rest_variables
+from jaxnarx.regressors import evaluate
 from jaxnarx.settings import Physics
 
 INPUT_STEP_SHARE = 0.05
@@ -152,20 +152,6 @@ def rest_columns(
         for block in design.blocks
     ]
     return np.concatenate(parts).T
-
-
-def rest_variables(
-    signals: RunSignals, inputs: Float[np.ndarray, "points inputs"]
-) -> tuple[Float[np.ndarray, "vars points"], Float[np.ndarray, "dims points"]]:
-    """Variables z and scheduling variables x of `Stretch`, under held inputs."""
-    table, time = signals.pool.variables, signals.sample_time
-    gain = static_gains([f for _, _, f in table.entries], time)
-    v = (inputs[:, table.signal] / signals.gain[table.signal] * gain).T
-    v = np.concatenate([np.ones((1, len(inputs))), v])
-    z = (v - signals.centring.shift[:, None]) / signals.centring.spread[:, None]
-    gain = static_gains([f for _, _, f in signals.scheduling.entries], time)
-    x = inputs[:, signals.scheduling.signal] * gain
-    return z, ((x - signals.offset) / signals.span).T
 
 
 def rises(design: BlockDesign, pairs: RestPairs) -> Float[np.ndarray, "pairs columns"]:

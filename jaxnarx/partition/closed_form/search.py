@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data import Dataset, Groups
+from jaxnarx.data import Dataset, Groups, join
 from jaxnarx.models import AbstractValidity, count_models
 from jaxnarx.partition.closed_form.denominator import denominator_from_times, is_stable
 from jaxnarx.partition.closed_form.design_matrix import Block, BlockDesign
@@ -36,6 +36,7 @@ from jaxnarx.partition.closed_form.physics import (
     rises,
 )
 from jaxnarx.partition.closed_form.profile import DataProfile
+from jaxnarx.partition.closed_form.rest import add_rest, rest_points
 from jaxnarx.partition.closed_form.signals import RunSignals, make_signals
 from jaxnarx.partition.closed_form.terms import (
     Memory,
@@ -79,10 +80,15 @@ class ClosedSearch:
         *,
         root: bool = False,
         pairs: RestPairs | None = None,
+        at_rest: Dataset | None = None,
     ):
         """With `root` a root of the output is modelled; all errors are those of the
-        output. With `pairs` the output of every candidate rises along them at rest."""
+        output. With `pairs` the output of every candidate rises along them at rest.
+        Samples of `at_rest` are operating points that train too."""
         self.data, self.profile, self.groups = data, profile, groups
+        self.points = None if at_rest is None else rest_points(at_rest, profile.output)
+        self.seen = data if at_rest is None else join([data, at_rest])
+        """Records that tell ranges."""
         self.modelled_root, self.pairs = root, pairs
         self.known: dict[tuple[Memory, int], RunSignals] = {}
         self.roots: list[ClosedForm] = []
@@ -98,18 +104,20 @@ class ClosedSearch:
             if degree > 1:
                 pool = product_pool(pool, self.profile, memory, degree)
             table = choose_scheduling(self.data, self.profile, memory)
-            self.known = {
-                key: make_signals(
-                    self.data,
-                    pool,
-                    table,
-                    *self.groups.parts(),
-                    history=LARGEST_ORDER,
-                    every=self.profile.every,
-                    begin=self.profile.begin,
-                    root=self.modelled_root,
-                )
-            }
+            signals = make_signals(
+                self.data,
+                pool,
+                table,
+                *self.groups.parts(),
+                history=LARGEST_ORDER,
+                every=self.profile.every,
+                begin=self.profile.begin,
+                root=self.modelled_root,
+                least=np.inf if self.points is None else self.points.least,
+            )
+            if self.points is not None:
+                signals = add_rest(signals, self.points, self.profile.memory)
+            self.known = {key: signals}
         return self.known[key]
 
     def memory(self, step: int) -> Memory:
@@ -122,7 +130,7 @@ class ClosedSearch:
         """A candidate."""
         if self.modelled_root:
             family += OF_ROOT
-        return ClosedForm(family, name, stage, self.data, structure)
+        return ClosedForm(family, name, stage, self.seen, structure)
 
     def root(
         self,
@@ -173,8 +181,8 @@ class ClosedSearch:
         design = design.extend(design.block((), place))
         dims = len(signals.scheduling)
         leaf = Box((), np.zeros(dims), np.ones(dims))
-        losses = design.held_out_losses(0.0)
-        stage = GrownStage(design, (leaf,), losses, 1, 0.0)
+        losses, points = design.held_out_losses(0.0)
+        stage = GrownStage(design, (leaf,), losses, 1, 0.0, float(points.sum()))
         return self.make_candidate("constant", "mean", stage, ClosedStructure())
 
     def linear(self) -> Iterator[ClosedForm]:
@@ -460,7 +468,7 @@ class ClosedSearch:
         leaf = Box((), np.zeros(dims), np.ones(dims))
         stage = GrownStage(bare, (leaf,), np.array(losses), len(theta), 0.0)
         own = ClosedStructure(order)
-        return ClosedForm("ARX", f"order {order}", stage, self.data, own, theta, left)
+        return ClosedForm("ARX", f"order {order}", stage, self.seen, own, theta, left)
 
 
 def _with_ridge(stage: GrownStage) -> GrownStage:
@@ -477,7 +485,7 @@ def _ask(partition: Partitioner, design: BlockDesign) -> AbstractValidity:
 
 
 def _rank(every: list[Root]) -> list[Root]:
-    return sorted(every, key=lambda one: one[2].free_run)
+    return sorted(every, key=lambda one: one[2].stage.score)
 
 
 def _distinct(ranked: list[Root], kind: Callable[[Root], Any]) -> list[Root]:

@@ -18,7 +18,8 @@ root is infinitely steep at its floor."""
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Stretch:
-    """One record from the first sample of a free run on."""
+    """One record from the first sample of a free run on; or operating points at rest,
+    each sample one of them (`at_rest`)."""
 
     z: Float[np.ndarray, "vars time"]
     """A leading one and the centred variables of unit spread."""
@@ -32,13 +33,16 @@ class Stretch:
     """Samples that count, part by part: groups, then gaps between them."""
     first: int
     """Place of the first sample among those of all records."""
+    at_rest: bool = False
 
     def filter_columns(
         self, columns: Float[np.ndarray, "columns time"], a: Float[np.ndarray, " _"]
     ) -> Float[np.ndarray, "columns time"]:
-        """Columns through 1/A from rest."""
+        """Columns through 1/A from rest, or at rest."""
         if len(a) == 1:
             return columns
+        if self.at_rest:
+            return columns / a.sum()
         from scipy.signal import lfilter  # it loads half of scipy
 
         return np.asarray(lfilter([1.0], a, columns))
@@ -46,12 +50,22 @@ class Stretch:
     def start_response(self, a: Float[np.ndarray, " _"]) -> Float[np.ndarray, " time"]:
         """Free run on nothing but the measured start."""
         rest = np.zeros(len(self.y))
-        if len(a) == 1:
+        if len(a) == 1 or self.at_rest:
             return rest
         from scipy.signal import lfilter, lfiltic
 
         state = lfiltic([1.0], a, self.before[: len(a) - 1])
         return lfilter([1.0], a, rest, zi=state)[0]
+
+    def lags(
+        self, run: Float[np.ndarray, " time"], order: int
+    ) -> Float[np.ndarray, "order time"]:
+        """A run of the output one sample ago, two ago and so on."""
+        if self.at_rest:
+            return np.tile(run, (order, 1))
+        past = np.concatenate([self.before[:order][::-1], run])
+        rows = [past[order - i : order - i + len(run)] for i in range(1, order + 1)]
+        return np.array(rows).reshape(order, len(run))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +104,13 @@ class RunSignals:
     it."""
     root: OutputRoot | None = None
     """Where a root of the output is modelled, whose are y, `middle` and `spread`."""
+    has_rest: bool = False
+    """Whether the last parts, one for every group, are operating points at rest."""
+
+    def rest_part(self, group: int) -> int | None:
+        """The part of the operating points that are held out with a group."""
+        groups, parts = self.apart.shape
+        return parts - groups + group if self.has_rest else None
 
     def to_output(self, run: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows"]:
         """Standard deviations of the output from values of what is modelled."""
@@ -98,6 +119,14 @@ class RunSignals:
         value = self.middle + self.spread * run
         y = self.root.floor + value * np.abs(value)
         return (y - self.root.middle) / self.root.spread
+
+    def from_output(self, y: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows"]:
+        """Values of what is modelled, in its standard deviations, from those of the
+        output over its gain."""
+        if self.root is not None:
+            above = y - self.root.floor
+            y = np.sign(above) * np.sqrt(np.abs(above))
+        return (y - self.middle) / self.spread
 
     @property
     def factor(self) -> Int[np.ndarray, "terms degree"]:
@@ -116,13 +145,14 @@ def make_signals(
     every: int,
     begin: int = 0,
     root: bool = False,
+    least: float = np.inf,
 ) -> RunSignals:
     """Columns' factors and targets of every record, each computed once.
 
     `pool` has one output and terms of inputs alone. `labels` and `apart` are
     `Groups.parts`. Runs start behind `history` samples at least; of every so many
     samples of a record one counts, but none of the first `begin`. With `root` a root of
-    the output is modelled.
+    the output is modelled, above its `least` value elsewhere too.
     """
     table = Variables.of(
         [
@@ -149,7 +179,8 @@ def make_signals(
     middle, spread = float(y[scored].mean()), float(y[scored].std()) or 1.0
     original = None
     if root:
-        floor = float(y[scored].min()) - ROOT_ROOM * spread
+        low = float(y[scored].min())
+        floor = min(low, least / gain[table.signal[-1]]) - ROOT_ROOM * spread
         original = OutputRoot(floor, middle, spread)
         y = np.sign(y - floor) * np.sqrt(np.abs(y - floor))
         middle, spread = float(y[scored].mean()), float(y[scored].std()) or 1.0

@@ -10,6 +10,7 @@ from typing import Any
 
 from jaxnarx.data import Channels, Dataset
 from jaxnarx.errors import JaxnarxError, SpecError, suggest
+from jaxnarx.formatting import list_names
 from jaxnarx.identification import (
     CANDIDATES_FOLDER,
     SEARCH_FILE,
@@ -63,8 +64,11 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         train, validation = search_records(split)
         tell_findings(train)
         Origin.from_options(command.description, command.root).write(folder)
-        physics = _chosen_physics(asked, split.physics)
-        fit, stopped = _run(asked, train, validation, folder, physics)
+        known = {
+            "physics": _chosen_physics(asked, split.physics),
+            "at_rest": _told_at_rest(split.at_rest),
+        }
+        fit, stopped = _run(asked, train, validation, folder, known)
         network, board = drop_outputs(fit.value), fit.stats["leaderboard"]
         parts = scored_parts(train, validation, split.test, network)
         if look := fit.stats.get("look"):
@@ -150,9 +154,10 @@ def _run(
     train: Dataset,
     validation: Dataset | None,
     folder: Path,
-    physics: Mapping[str, Physics],
+    known: Mapping[str, Any],
 ) -> tuple[Solution[Network], bool]:
-    """The search, and whether Ctrl-C has ended it."""
+    """The search, and whether Ctrl-C has ended it; `known` is what there is beside
+    records."""
     if there := _count_candidates(folder):
         say(f"Going on with {count(there, 'candidate')} in {folder}")
 
@@ -173,7 +178,7 @@ def _run(
             validation=validation,
             folder=folder,
             progress=progress,
-            physics=physics,
+            **known,
         )
     return fit, patience.used
 
@@ -188,6 +193,14 @@ def _chosen_physics(
         told = "; ".join(f"{name} {one}" for name, one in chosen.items())
         say(f"By physics, at rest: {told}")
     return chosen
+
+
+def _told_at_rest(points: Dataset | None) -> Dataset | None:
+    """The operating points at rest; they are told."""
+    if points is not None:
+        files = list_names(points.names)
+        say(f"{count(points.samples, 'operating point')} at rest, of {files}")
+    return points
 
 
 def _tell_kept(folder: Path) -> None:

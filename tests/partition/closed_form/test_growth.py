@@ -155,7 +155,7 @@ def test_a_gate_between_levels_tells_them_apart_however_close(own):
 
 
 def refitted(stage: GrownStage, ridge: float, size: int) -> np.ndarray:
-    return stage.design.curve(ridge, [size], constants(stage.design))[:, 0]
+    return stage.design.curve(ridge, [size], constants(stage.design))[0, :, 0]
 
 
 def test_a_stage_tells_the_losses_of_its_size_and_ridge():
