@@ -112,7 +112,8 @@ def test_coloured_residuals_are_not_taken_for_differences_of_engines():
 
     def slow():
         noise = rng.normal(size=size)
-        return scipy.signal.lfilter([np.sqrt(1 - pole**2)], [1, -pole], noise)
+        kept = scipy.signal.lfilter([np.sqrt(1 - pole**2)], [1, -pole], noise)
+        return np.asarray(kept)
 
     for k in range(PARAMS):
         rows[:, :, k] = slow()

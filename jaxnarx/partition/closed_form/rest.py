@@ -82,8 +82,8 @@ def add_rest(signals: RunSignals, points: RestPoints, memory: int) -> RunSignals
     turn = np.tile(np.arange(len(y)) % groups, times)
     parts = [nothing] * signals.apart.shape[1]
     parts += [np.flatnonzero(turn == g) for g in range(groups)]
-    many = (np.tile(a, times) for a in (z, x, y))
-    rest = Stretch(*many, np.zeros(0), tuple(parts), 0, True)
+    z, x, y = (np.tile(a, times) for a in (z, x, y))
+    rest = Stretch(z, x, y, np.zeros(0), tuple(parts), 0, True)
     moving = [
         dataclasses.replace(one, counted=(*one.counted, *(nothing,) * groups))
         for one in signals.stretches

@@ -180,7 +180,7 @@ def make_signals(
     original = None
     if root:
         low = float(y[scored].min())
-        floor = min(low, least / gain[table.signal[-1]]) - ROOT_ROOM * spread
+        floor = min(low, least / float(gain[table.signal[-1]])) - ROOT_ROOM * spread
         original = OutputRoot(floor, middle, spread)
         y = np.sign(y - floor) * np.sqrt(np.abs(y - floor))
         middle, spread = float(y[scored].mean()), float(y[scored].std()) or 1.0
