@@ -7,6 +7,7 @@ from jaxnarx.fleet._compare import EngineChange as EngineChange
 from jaxnarx.fleet._compare import compare_records as compare_records
 from jaxnarx.fleet._learn import learn as learn
 from jaxnarx.fleet._plan import plan as plan
+from jaxnarx.fleet.calibration_work import CalibrationWork as CalibrationWork
 from jaxnarx.fleet.draws import draw_engines as draw_engines
 from jaxnarx.fleet.population import Population as Population
 from jaxnarx.fleet.prior import FleetPrior as FleetPrior

@@ -33,7 +33,7 @@ from jaxnarx.shell.fleet_page import fleet_page
 from jaxnarx.shell.messages import about, count, quote_command, say, warn
 from jaxnarx.shell.next_command import tell_next
 from jaxnarx.shell.sweep.description import Measured, load_sweep
-from jaxnarx.shell.sweep.fleet import simulate_relatives
+from jaxnarx.shell.sweep.fleet import engine_files, simulate_relatives
 
 PRIOR_FILE, REPORT_FILE, SUMS_FOLDER = "prior.fleet", "report.html", "sums"
 MODEL_FILE, CALIBRATION_FILE = "model.safetensors", "calibration.json"
@@ -112,17 +112,7 @@ def _train(data: Dataset | DataError) -> Dataset | DataError:
 
 def _donor_files(data: Measured, folder: Path) -> DonorFiles:
     """The engines that patterns find, by the names of their descriptions."""
-    paths = sorted({path for text in data.engines for path in folder.glob(text)})
-    if not paths:
-        raise DataFileError(
-            f"no file matches {', '.join(data.engines)} in {folder}", path=folder
-        )
-    names: dict[str, Path] = {}
-    for path in paths:
-        name = output.slug(path.stem)
-        names[name if name not in names else f"{name}-{len(names)}"] = path
-    root = None if data.root is None else str(folder / data.root)
-    return DonorFiles(names, root)
+    return DonorFiles(*engine_files(data, folder))
 
 
 def _tell():

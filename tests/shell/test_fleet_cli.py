@@ -101,6 +101,23 @@ def test_an_engine_is_compared_and_its_test_planned(jaxnarx, place):
     assert "What more donors bring" in page and "own samples alone" in page
 
 
+def test_calibrations_are_swept(jaxnarx, typed, place):
+    text = (
+        '[data]\nengines = ["engines/*.toml"]\n[fleet]\nprior = "swept/prior.fleet"\n'
+    )
+    (place / "new.toml").write_text(text + "samples = [10, 50]\n")
+    assert jaxnarx("learn line.toml --out swept")[0] == 0
+    code, out, _ = typed("sweep", "new.toml --folder calibrations")
+    assert code == 0 and "24 calibrations: 12 engines by 2 numbers of samples" in out
+    assert "  y, 50 samples: " in out and "prior 11" in out
+    table = (place / "calibrations" / "table.csv").read_text()
+    assert "y_free_run" in table and "nonfinite_data" in table
+    for more, said in (("[cases]\n", "[cases] identify"), ("most = 3\n", "'most'")):
+        (place / "bad.toml").write_text(text + more)
+        code, _, told = typed("sweep", "bad.toml")
+        assert code == 3 and said in told
+
+
 def test_what_is_wrong_is_named(jaxnarx, place):
     code, _, err = jaxnarx("calibrate none.fleet new.csv")
     assert code == 3 and "none.fleet: there is no such file" in err

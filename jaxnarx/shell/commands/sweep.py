@@ -35,7 +35,9 @@ class Sweep:
 
     In place of bed: engines = ["engines/*.toml"], descriptions of measured ones. In
     place of [cases]: [random] with count, seed and ranges as ["log", 1e-6, 1e-2]. The
-    sections of [identification] are those of `jaxnarx identify --settings`.
+    sections of [identification] are those of `jaxnarx identify --settings`. In place of
+    both: [fleet] with prior = "prior.fleet" and samples = [10, 20, 50] calibrates every
+    engine from the first samples of its first record.
     """
 
     description: Positional[Description]

@@ -27,6 +27,11 @@ refine.train = ["coefficients", "joint"]
 # count = 20
 # seed = 1
 # refine.ridge = ["log", 1e-8, 1e-2]  # or "uniform", "integer", or a list of values
+
+# Calibrations by what a fleet has taught, in place of all sections but [data]:
+# [fleet]
+# prior = "prior.fleet"               # written by `jaxnarx fleet learn`
+# samples = [10, 20, 50, 100]         # of every engine's first record
 ```
 """
 
@@ -38,7 +43,7 @@ from typing import Any
 from jaxnarx.errors import DataFileError, SpecError, guard_reading, suggest
 from jaxnarx.settings import Identification, flatten_table, from_dict, replace_at
 
-DESCRIPTION_SECTIONS = ("data", "identification", "cases", "random")
+DESCRIPTION_SECTIONS = ("data", "identification", "cases", "random", "fleet")
 Case = Mapping[str, Any]
 MIN_RECORD_SAMPLES = 50
 """Samples of the shortest record of a virtual engine."""
@@ -79,6 +84,14 @@ class Measured:
 
 
 @dataclasses.dataclass(frozen=True)
+class Calibrations:
+    """Calibrations of every engine by a prior, from so many samples each."""
+
+    prior: str
+    samples: Sequence[int] = (10, 20, 50, 100)
+
+
+@dataclasses.dataclass(frozen=True)
 class SweepDescription:
     """A parsed description of a sweep; `folder` is that of its file."""
 
@@ -87,6 +100,7 @@ class SweepDescription:
     cases: tuple[Case, ...]
     folder: Path
     method_given: bool = True
+    fleet: Calibrations | None = None
 
 
 def load_sweep(path: Path, *, needed: bool = True) -> SweepDescription:
@@ -108,13 +122,15 @@ def load_sweep(path: Path, *, needed: bool = True) -> SweepDescription:
                         field=key,
                     )
             data = _data(_section(table, "data"))
+            fleet = _fleet(table)
             given = "identification" in table
+            needed = needed and fleet is None
             settings = _section(table, "identification", None if needed else {})
             method = from_dict(Identification, settings)
             cases = tuple(_cases(table))
             for case in cases:
                 replace_at(method, case)  # what does not fit is said now
-            return SweepDescription(data, method, cases, path.parent, given)
+            return SweepDescription(data, method, cases, path.parent, given, fleet)
         except SpecError as error:
             raise DataFileError(f"{path}: {error}", path=path) from error
 
@@ -142,6 +158,24 @@ def _data(data: dict[str, Any]) -> Relatives | Measured:
             field="data",
         )
     return from_dict(Relatives, data, "data")
+
+
+def _fleet(table: Mapping[str, Any]) -> Calibrations | None:
+    if "fleet" not in table:
+        return None
+    beside = [f"[{s}]" for s in ("identification", "cases", "random") if s in table]
+    if beside:
+        raise SpecError(
+            f"[fleet] calibrates, {' and '.join(beside)} identify; give one of both",
+            field="fleet",
+        )
+    found = from_dict(Calibrations, _section(table, "fleet"), "fleet")
+    if Path(found.prior).is_absolute():
+        raise SpecError(
+            f"[fleet] prior is relative to the description, got {found.prior!r}",
+            field="fleet.prior",
+        )
+    return found
 
 
 def _cases(table: Mapping[str, Any]) -> list[Case]:

@@ -9,9 +9,15 @@ import jax
 from jaxnarx.data import Dataset, Split, read_split
 from jaxnarx.engines import BEDS, AbstractEngine
 from jaxnarx.errors import DataError, DataFileError, SpecError, suggest
+from jaxnarx.fleet import CalibrationWork, load_prior
 from jaxnarx.shell.output import slug
 from jaxnarx.shell.progress import count, say
-from jaxnarx.shell.sweep.description import Measured, Relatives, SweepDescription
+from jaxnarx.shell.sweep.description import (
+    Calibrations,
+    Measured,
+    Relatives,
+    SweepDescription,
+)
 from jaxnarx.sweep import Fleet
 
 RECORD_PARTS = ("train", "validate", "test")
@@ -70,21 +76,47 @@ def simulate_relatives(data: Relatives) -> dict[str, Dataset | DataError]:
     return found
 
 
-def _read(data: Measured, folder: Path) -> Fleet:
+def engine_files(data: Measured, folder: Path) -> tuple[dict[str, Path], str | None]:
+    """The engines that patterns find, by the names of their descriptions, and the
+    folder of their data."""
     paths = sorted({path for text in data.engines for path in folder.glob(text)})
     if not paths:
         raise DataFileError(
             f"no file matches {', '.join(data.engines)} in {folder}", path=folder
         )
-    say(f"Reading {count(len(paths), 'engine')}")
-    root = None if data.root is None else str(folder / data.root)
-    splits: dict[str, Split] = {}
+    named: dict[str, Path] = {}
     for path in paths:
         name = slug(path.stem)
-        splits[name if name not in splits else f"{name}-{len(splits)}"] = read_split(
-            path, root=root
-        )
-    return _join(splits)
+        named[name if name not in named else f"{name}-{len(named)}"] = path
+    return named, None if data.root is None else str(folder / data.root)
+
+
+def _read(data: Measured, folder: Path) -> Fleet:
+    paths, root = engine_files(data, folder)
+    say(f"Reading {count(len(paths), 'engine')}")
+    return _join({name: read_split(p, root=root) for name, p in paths.items()})
+
+
+def calibration_work(
+    description: SweepDescription, asked: Calibrations
+) -> CalibrationWork:
+    """Calibrations of all engines of a description by the prior that it names."""
+    prior, data = load_prior(description.folder / asked.prior), description.data
+    if isinstance(data, Relatives):
+        engines = simulate_relatives(data)
+    else:
+        paths, root = engine_files(data, description.folder)
+        say(f"Reading {count(len(paths), 'engine')}")
+        engines = {name: _records(path, root) for name, path in paths.items()}
+    return CalibrationWork(prior, engines, tuple(asked.samples))
+
+
+def _records(path: Path, root: str | None) -> Dataset | DataError:
+    """All records of an engine, or why there are none."""
+    try:
+        return read_split(path, root=root).all
+    except (DataError, DataFileError, SpecError) as error:
+        return DataError(str(error))
 
 
 def _join(splits: Mapping[str, Split]) -> Fleet:

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from jaxnarx import fleet
 from jaxnarx.errors import DataError, JaxnarxError
 from jaxnarx.shell.commands import Sweep
 from jaxnarx.shell.interrupt import last_words
@@ -13,10 +14,14 @@ from jaxnarx.shell.messages import about
 from jaxnarx.shell.output import slug, write_text, write_together
 from jaxnarx.shell.progress import count, say
 from jaxnarx.shell.sweep.description import load_sweep
-from jaxnarx.shell.sweep.fleet import make_fleet
-from jaxnarx.shell.sweep.table import best_lines, status_lines, sweep_csv
+from jaxnarx.shell.sweep.fleet import calibration_work, make_fleet
+from jaxnarx.shell.sweep.table import (
+    best_lines,
+    calibration_lines,
+    status_lines,
+    sweep_csv,
+)
 from jaxnarx.sweep import (
-    Fleet,
     IdentificationWork,
     Progress,
     SweepTable,
@@ -39,11 +44,18 @@ def sweep(command: Sweep) -> None:
     description = load_sweep(Path(command.description))
     folder = Path(command.folder or Path("runs") / slug(Path(command.description).stem))
     with about(command.description):
-        fleet = make_fleet(description)
-        work = IdentificationWork(fleet, description.method, description.cases)
+        if description.fleet is None:
+            engines = make_fleet(description)
+            work = IdentificationWork(engines, description.method, description.cases)
+            asked = "fit", len(engines), count(len(work.cases), "case")
+        else:
+            work = calibration_work(description, description.fleet)
+            numbers = count(len(work.samples), "number") + " of samples"
+            asked = "calibration", len(work.engines), numbers
+    kind, engines, by = asked
     say(
-        f"{count(len(work.members), 'fit')}: {count(len(fleet), 'engine')} by "
-        f"{count(len(work.cases), 'case')}, {command.chunk} to a chunk"
+        f"{count(len(work.members), kind)}: {count(engines, 'engine')} by {by}, "
+        f"{command.chunk} to a chunk"
     )
     try:
         with sweep_progress() as progress, last_words(lambda: _tell_so_far(folder)):
@@ -60,7 +72,7 @@ def sweep(command: Sweep) -> None:
         raise
     for note in solution.stats["notes"]:
         say(f"  note: {note}")
-    _tell(solution.value, fleet, work)
+    _tell(solution.value, work)
     with write_together(folder) as place:
         write_text(place / TABLE_FILE, sweep_csv(solution.value))
     say(f"\nwrote table.parquet and {TABLE_FILE} to {folder}")
@@ -77,7 +89,7 @@ def _crashed_rows(table: SweepTable) -> list[dict[str, Any]]:
     return [row for row in table.rows() if row["status"] == "crashed"]
 
 
-def _tell(table: SweepTable, fleet: Fleet, work: IdentificationWork) -> None:
+def _tell(table: SweepTable, work: IdentificationWork | fleet.CalibrationWork) -> None:
     say("\nMembers by status")
     for line in status_lines(table):
         say(line)
@@ -86,8 +98,14 @@ def _tell(table: SweepTable, fleet: Fleet, work: IdentificationWork) -> None:
         return
     if crashed:
         say(f"  the first crash, {crashed[0]['engine']}: {crashed[0]['message']}")
-    judge = "validation" if fleet.validation is not None else "train"
-    scores = [f"{part}_free_run" for part in fleet.parts]
+    if isinstance(work, fleet.CalibrationWork):
+        say("\nNRMSE of the free run behind these samples, median over the engines")
+        for line in calibration_lines(table, work.prior.network.output_names):
+            say(line)
+        return
+    known = work.fleet
+    judge = "validation" if known.validation is not None else "train"
+    scores = [f"{part}_free_run" for part in known.parts]
     best = best_per_group(table, "engine", f"{judge}_free_run")
     varied = list(dict.fromkeys(path for case in work.cases for path in case))
     if len(best):

@@ -3,6 +3,8 @@
 import csv
 import io
 import json
+import statistics
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -40,6 +42,26 @@ def best_lines(table: SweepTable, columns: Sequence[str], most: int = 20) -> lis
     ]
     more = len(table) - len(rows)
     return [*out, *([f"  and {more} more"] if more > 0 else [])]
+
+
+def calibration_lines(table: SweepTable, outputs: Sequence[str]) -> list[str]:
+    """Lines with median errors by numbers of samples: of the fleet's mean, of what was
+    calibrated, and which ways were chosen how often."""
+    lines, rows = [], list(table.rows())
+    for number in dict.fromkeys(row["samples"] for row in rows):
+        for name in outputs:
+            own = [r for r in rows if r["samples"] == number and r[f"{name}_way"]]
+            if own:
+                before, after = (
+                    statistics.median(r[f"{name}_{kind}"] for r in own)
+                    for kind in ("as_is", "free_run")
+                )
+                ways = Counter(r[f"{name}_way"] for r in own).most_common()
+                told = ", ".join(f"{way} {n}" for way, n in ways)
+                lines.append(
+                    f"  {name}, {number} samples: {before:.3g} -> {after:.3g} ({told})"
+                )
+    return lines
 
 
 def _cell(value: Any) -> Any:
