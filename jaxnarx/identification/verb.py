@@ -204,6 +204,8 @@ def _search(
     at_rest = asked.at_rest
     if at_rest is not None:
         at_rest = _match_points(at_rest, chosen)
+        # Points have no time; the ranges are told by records and points together.
+        at_rest = dataclasses.replace(at_rest, sample_time=data.sample_time)
     if validation is not None and asked.groups is not None:
         raise SpecError(
             "groups and validation: name the group of all records, those for "

@@ -89,7 +89,7 @@ def points(valid: bool = True) -> Dataset:
     """What the plant has at rest."""
     u = np.linspace(-1.5, 1.5, 7)[:, None]
     y = np.tanh(2.5 * u) / 0.3
-    found = Dataset.from_arrays([u], [y], inputs=["u"], outputs="y", sample_time=0.1)
+    found = Dataset.from_arrays([u], [y], inputs=["u"], outputs="y", sample_time=60.0)
     (record,) = found
     known = np.stack([np.ones(7, bool), np.full(7, valid)], axis=1)
     return dataclasses.replace(
