@@ -215,10 +215,18 @@ def _read_at_rest(
     with guard_reading(path, "a description", advice="Correct it."):
         folder = _root(path, root, description)
         found = find_files(own, folder, path)
+        parts = {file for file, *_ in find_files(description, folder, path)}
     files = list(dict.fromkeys(file for file, *_ in found))
+    for file in files:
+        if file in parts:
+            raise SpecError(
+                f"{path}: {file.name} is among the records and at rest; take it out of "
+                "one of them, say by a pattern that begins with !",
+                field="records.at_rest",
+            )
     names = dict(zip(files, _record_names(files, folder), strict=True))
     chosen = [(file, cut) for file, cut, _ in found]
-    return _assemble_records(chosen, names, own, max_bytes)[0]
+    return _assemble_records(chosen, names, own, max_bytes, timed=False)[0]
 
 
 def _assemble_records(
@@ -226,9 +234,12 @@ def _assemble_records(
     names: dict[Path, str],
     description: Description,
     max_bytes: float,
+    *,
+    timed: bool = True,
 ) -> tuple[Dataset, list[int]]:
     """The records of files, or of what is cut from them, and which of `chosen` each
-    comes from; `names` are those of the files."""
+    comes from; `names` are those of the files. Files that tell the time are refused
+    where rows are not to be `timed`."""
     sources: list[list[Source]] = [[] for _ in chosen]
     steps, notes = [], []
     channels, stated_by = description.channels, {}
@@ -239,6 +250,12 @@ def _assemble_records(
         table = read_member(file, wanted, asked, member)
         if table.time is None:
             description.require_time()
+        elif not timed:
+            raise DataFileError(
+                f"{file}: its channels have times of their own, and operating points "
+                "at rest have none. Write them to a table, a row for each point.",
+                path=file,
+            )
         notes += [(table.place.lead, note) for note in table.notes]
         left -= 8 * len(table) * len(table.columns)
         units = {n: table.units.get(c, "") for n, c in description.columns.items()}

@@ -195,9 +195,9 @@ def repeat_closed_form(
     if root not in fold.searches:
         own = fold.train, fold.profile, fold.groups
         fold.searches[root] = ClosedSearch(*own, **known)
-    search = fold.searches[root]
-    found = search.repeat(family, structure, partitions)
-    inner = found.free_run * search.spread / fold.spread
+    found = fold.searches[root].repeat(family, structure, partitions)
+    spread = found.stage.design.signals.output_spread
+    inner = found.free_run * spread / fold.spread
     return fold.run(hold_to_range(found.network()), inner)
 
 

@@ -24,9 +24,10 @@ from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.search_folder import ROW_VERSION, SearchFolder, open_search
 from jaxnarx.identification.time_budget import TimeBudget
 from jaxnarx.identification.worker import OutputTask, SearchWorker, cores
-from jaxnarx.models import Network, combine_outputs
+from jaxnarx.models import Network, combine_outputs, set_bounds
 from jaxnarx.partition import make_pairs, profile_data
 from jaxnarx.settings import PARTITIONS, PRESETS, Physics, plain_value
+from jaxnarx.simulation import match_records
 from jaxnarx.solution import RESULTS, Solution
 
 Tell = Callable[[dict[str, Any]], None]
@@ -110,10 +111,36 @@ def search(
         facts = {n: k.to_dict(data.channels.input_names) for n, k in profiles.items()}
         found = _solution(race.store, list(outputs), stopped, race.late, facts)
         left = _held_out_errors(race.store.leaderboard, found.value, data)
+        network = found.value
+        if at_rest is not None:
+            network = include_points(network, at_rest)
         network = attach_domain_and_intervals(
-            apply_release_limits(found.value), data, groups, left
+            apply_release_limits(network), data, groups, left
         )
         return dataclasses.replace(found, value=network)
+
+
+def include_points(network: Network, at_rest: Dataset) -> Network:
+    """The network whose ranges hold operating points too, in all that it knows.
+
+    Candidates have the ranges of the records alone: what is summed and combined must
+    have the same.
+    """
+    points, low, high = match_records(network, at_rest), network.low, network.high
+    every = np.concatenate([r.signals for r in points])
+    valid = np.concatenate([r.valid for r in points])
+    inputs = len(points.channels.inputs)
+    valid[~valid[:, inputs:].any(axis=1)] = False
+    count = every.shape[1]
+    least = np.min(every, axis=0, where=valid, initial=np.inf)
+    most = np.max(every, axis=0, where=valid, initial=-np.inf)
+    low = low.at[:count].min(least)
+    high = high.at[:count].max(most)
+    wider = set_bounds(dataclasses.replace(network, low=low, high=high))
+    own = len(network.modelled)  # hidden channels keep their bounds
+    lower = wider.lower.at[own:].set(network.lower[own:])
+    upper = wider.upper.at[own:].set(network.upper[own:])
+    return dataclasses.replace(wider, lower=lower, upper=upper)
 
 
 class SearchRunner:

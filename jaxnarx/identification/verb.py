@@ -101,7 +101,7 @@ def identify(
         at_rest: Operating points measured at rest: every sample is one, with inputs
             that were held until the outputs had settled. Candidates in closed form are
             trained on them too, each as much as on a settled record as long as the
-            memory; the network's ranges hold them. They judge nothing.
+            memory; the network's ranges hold them. Errors are those of records alone.
 
     Returns:
         `value` is the network. Of a search: `stats["leaderboard"]` holds all candidates

@@ -60,8 +60,9 @@ they were not trained on; a list of lists of patterns serves as well. Records in
 group are put together where they repeat each other's inputs.
 
 Rows of at_rest are operating points, measured with inputs that were held until all had
-settled, in any order and without a time. A search trains on them beside the records;
-they judge nothing. Cells of outputs that were not measured stay empty.
+settled, in any order and without a time, in tables (no MDF). A search trains on them
+beside the records; the errors that it shows are those of records. Cells of outputs that
+were not measured at a point stay empty. With columns, all that these name are there.
 
 physics names inputs with which an output at rest must not fall (increases_with) or not
 rise (decreases_with). A search keeps these signs and tells what they cost.

@@ -101,6 +101,7 @@ def test_operating_points_have_no_time(tmp_path):
         ("N,Md\n1500,0.5\n1000,1\n", '["steady/*.csv"]', DataFileError, "NOx"),
         (POINTS, '["warm/*.csv"]', DataFileError, "warm/*.csv"),
         (POINTS, '"steady/bench.csv"', SpecError, "records.at_rest must be a list"),
+        (POINTS, '["s1.csv"]', SpecError, "s1.csv is among the records and at rest"),
     ],
 )
 def test_operating_points_that_cannot_be_read_are_refused(

@@ -108,6 +108,8 @@ def test_points_at_rest_train_and_are_part_of_what_a_folder_holds(tmp_path):
         assert len(one.groups) == len(other.groups)
     low, high = (np.asarray(a)[0] for a in (found.value.low, found.value.high))
     assert low == -1.5 and high == 1.5
+    lower, gain = np.asarray(found.value.lower)[0], np.asarray(found.value.gain)[1]
+    assert lower * gain < np.asarray(found.value.low)[1] <= min(points().records[0].y)
     with pytest.raises(SpecError, match="a search that differs in at_rest"):
         identify(plant(), preset="linear", folder=tmp_path / "a")
 

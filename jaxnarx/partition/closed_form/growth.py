@@ -87,7 +87,7 @@ class GrownStage:
     """Sum of squared errors of every group left out."""
     size: int
     ridge: float
-    at_rest: float = 0.0
+    rest_loss: float = 0.0
     """Sum of squared errors of operating points that were held out with the groups."""
 
     @property
@@ -103,7 +103,7 @@ class GrownStage:
         if self.design.signals.has_rest:
             points = own.samples[-len(own.apart) :].sum()
         count = max(own.judged.sum() + points, 1.0)
-        return float(np.sqrt((self.losses.sum() + self.at_rest) / count))
+        return float(np.sqrt((self.losses.sum() + self.rest_loss) / count))
 
     def held_out_runs(self) -> list[Float[np.ndarray, " _"]]:
         """Free runs over every group by a model made without it, not held."""

@@ -51,7 +51,6 @@ class ClosedForm:
     name: str
     stage: GrownStage
     data: Dataset
-    """What tells the ranges of the network."""
     structure: ClosedStructure
     given: Float[np.ndarray, " columns"] | None = None
     """Coefficients that are not those of least squares of the free run ..."""
@@ -132,7 +131,8 @@ class ClosedForm:
         """Free runs by the model of all groups."""
         with np.errstate(all="ignore"):
             runs = self.stage.design.runs(self.coefficients())
-        return list(map(tame, runs))
+        pairs = zip(self._signals.stretches, runs, strict=True)
+        return [tame(run) for one, run in pairs if not one.at_rest]
 
     def groups(self) -> Float[np.ndarray, " groups"]:
         """Free-run NRMSE of every group left out."""

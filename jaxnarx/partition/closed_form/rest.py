@@ -12,7 +12,7 @@ the memory.
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxnarx.data import Dataset
 from jaxnarx.partition.closed_form.signals import RunSignals, Stretch
@@ -64,8 +64,8 @@ def rest_variables(
 
 
 def add_rest(signals: RunSignals, points: RestPoints, memory: int) -> RunSignals:
-    """The signals with operating points beside the records: a part for every group, in
-    turns, which is held out with it (`RunSignals.rest_part`).
+    """The signals with operating points beside the records: a part for every group,
+    which is held out with it (`RunSignals.rest_part`).
 
     Each counts as many samples as the memory has, as a settled record would, all of
     them `MOST_WEIGHT` of what counts in the records at most.
@@ -79,7 +79,7 @@ def add_rest(signals: RunSignals, points: RestPoints, memory: int) -> RunSignals
     most = MOST_WEIGHT * counted / len(y)
     times = max(1, int(min(memory * counted / max(samples, 1), most)))
     groups, nothing = len(signals.apart), np.zeros(0, int)
-    turn = np.tile(np.arange(len(y)) % groups, times)
+    turn = np.tile(_deal(points, groups), times)
     parts = [nothing] * signals.apart.shape[1]
     parts += [np.flatnonzero(turn == g) for g in range(groups)]
     z, x, y = (np.tile(a, times) for a in (z, x, y))
@@ -95,3 +95,12 @@ def add_rest(signals: RunSignals, points: RestPoints, memory: int) -> RunSignals
         apart=np.concatenate([signals.apart, own], axis=1),
         has_rest=True,
     )
+
+
+def _deal(points: RestPoints, groups: int) -> Int[np.ndarray, " points"]:
+    """The group of every point, by chance: in turns a group could hold a whole row of a
+    map. Whatever the order of the points, each has the same group."""
+    turn = np.empty(len(points.output), int)
+    order = np.lexsort((points.output, *points.inputs.T))
+    turn[order] = np.random.default_rng(0).permutation(len(turn)) % groups
+    return turn

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxnarx.data import Dataset, Groups, join
+from jaxnarx.data import Dataset, Groups
 from jaxnarx.models import AbstractValidity, count_models
 from jaxnarx.partition.closed_form.denominator import denominator_from_times, is_stable
 from jaxnarx.partition.closed_form.design_matrix import Block, BlockDesign
@@ -87,8 +87,6 @@ class ClosedSearch:
         Samples of `at_rest` are operating points that train too."""
         self.data, self.profile, self.groups = data, profile, groups
         self.points = None if at_rest is None else rest_points(at_rest, profile.output)
-        self.seen = data if at_rest is None else join([data, at_rest])
-        """Records that tell ranges."""
         self.modelled_root, self.pairs = root, pairs
         self.known: dict[tuple[Memory, int], RunSignals] = {}
         self.roots: list[ClosedForm] = []
@@ -130,7 +128,7 @@ class ClosedSearch:
         """A candidate."""
         if self.modelled_root:
             family += OF_ROOT
-        return ClosedForm(family, name, stage, self.seen, structure)
+        return ClosedForm(family, name, stage, self.data, structure)
 
     def root(
         self,
@@ -270,9 +268,7 @@ class ClosedSearch:
     def spread(self) -> float:
         """Standard deviation of the output, in its unit."""
         (one,) = self.known.values()
-        o = len(self.data.channels.inputs) + one.pool.outputs[0]
-        spread = one.spread if one.root is None else one.root.spread
-        return float(spread * one.gain[o])
+        return one.output_spread
 
     def constrain(self, form: ClosedForm) -> ClosedForm:
         """The candidate under the signs of physics, where there are some."""
@@ -468,7 +464,7 @@ class ClosedSearch:
         leaf = Box((), np.zeros(dims), np.ones(dims))
         stage = GrownStage(bare, (leaf,), np.array(losses), len(theta), 0.0)
         own = ClosedStructure(order)
-        return ClosedForm("ARX", f"order {order}", stage, self.seen, own, theta, left)
+        return ClosedForm("ARX", f"order {order}", stage, self.data, own, theta, left)
 
 
 def _with_ridge(stage: GrownStage) -> GrownStage:
@@ -478,7 +474,8 @@ def _with_ridge(stage: GrownStage) -> GrownStage:
 
 def _ask(partition: Partitioner, design: BlockDesign) -> AbstractValidity:
     """The validity that a partition from elsewhere makes of a single region."""
-    x = np.concatenate(design.scheduling_values(), axis=1)
+    # Operating points at rest may lie outside of the records.
+    x = np.clip(np.concatenate(design.scheduling_values(), axis=1), 0.0, 1.0)
     columns = np.concatenate(design.blocks[0].columns, axis=1)
     output = np.concatenate(design.target)
     return ask_partition(partition, x, columns, output, np.ones(len(output)))

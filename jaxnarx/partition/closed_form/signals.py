@@ -24,13 +24,13 @@ class Stretch:
     z: Float[np.ndarray, "vars time"]
     """A leading one and the centred variables of unit spread."""
     x: Float[np.ndarray, "dims time"]
-    """Scheduling variables, 0 to 1 over the training range."""
+    """Scheduling variables, 0 to 1 over the range of the records."""
     y: Float[np.ndarray, " time"]
     """Output, centred, in standard deviations."""
     before: Float[np.ndarray, " history"]
     """Outputs before the first sample, latest first."""
     counted: tuple[Int[np.ndarray, " _"], ...]
-    """Samples that count, part by part: groups, then gaps between them."""
+    """Samples that count, part by part: groups, gaps between them, operating points."""
     first: int
     """Place of the first sample among those of all records."""
     at_rest: bool = False
@@ -127,6 +127,14 @@ class RunSignals:
             above = y - self.root.floor
             y = np.sign(above) * np.sqrt(np.abs(above))
         return (y - self.middle) / self.spread
+
+    @property
+    def output_spread(self) -> float:
+        """Standard deviation of the output, in its unit."""
+        spread = self.spread if self.root is None else self.root.spread
+        return float(
+            spread * self.gain[len(self.pool.channels.inputs) + self.pool.outputs[0]]
+        )
 
     @property
     def factor(self) -> Int[np.ndarray, "terms degree"]:

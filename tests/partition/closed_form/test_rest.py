@@ -11,7 +11,7 @@ from jaxnarx.partition import ClosedSearch, profile_data, rest_points
 from jaxnarx.partition.closed_form.design_matrix import BlockDesign, Gate
 from jaxnarx.partition.closed_form.gauss_newton import derivatives, shift_gates
 from jaxnarx.partition.closed_form.growth import Box, choose_size
-from jaxnarx.partition.closed_form.rest import MOST_WEIGHT
+from jaxnarx.partition.closed_form.rest import MOST_WEIGHT, RestPoints, _deal
 from jaxnarx.simulation import simulate
 
 A = np.array([1.0, -1.5, 0.56])
@@ -112,6 +112,19 @@ def test_points_are_held_out_with_the_groups_in_turns(data, search, design):
     assert plain.signals.rest_part(0) is None
 
 
+def test_no_group_holds_a_row_of_a_map():
+    """Points in the order of a map, whose rows are as many as the groups."""
+    grid = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=2).reshape(-1, 2)
+    points = RestPoints(grid, grid.sum(axis=1))
+    dealt = _deal(points, 5)
+    assert np.bincount(dealt).tolist() == [6] * 5
+    for g in range(5):
+        assert len(set(grid[dealt == g, 0])) > 1 < len(set(grid[dealt == g, 1]))
+    turned = np.random.default_rng(3).permutation(30)
+    again = _deal(RestPoints(grid[turned], points.output[turned]), 5)
+    np.testing.assert_array_equal(again, dealt[turned])
+
+
 def test_what_is_held_out_is_judged_apart(design):
     """Records by the error that is told; both by the score that chooses."""
     losses, points = design.held_out_losses(1e-3)
@@ -127,10 +140,10 @@ def test_what_is_held_out_is_judged_apart(design):
     assert stage.error == pytest.approx(
         np.sqrt(stage.losses.sum() / own.judged.sum()), rel=1e-12
     )
-    every = stage.losses.sum() + stage.at_rest
+    every = stage.losses.sum() + stage.rest_loss
     count = own.judged.sum() + own.samples[-len(losses) :].sum()
     assert stage.score == pytest.approx(np.sqrt(every / count), rel=1e-12)
-    assert stage.at_rest > 0
+    assert stage.rest_loss > 0
 
 
 def test_derivatives_at_rest_are_central_differences(design):
