@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import format_writers
 import numpy as np
 import pytest
 from described import grouped, refuse
@@ -110,3 +111,12 @@ def test_operating_points_that_cannot_be_read_are_refused(
     with pytest.raises(error) as caught:
         read_split(at_rest(tmp_path, text, named))
     assert said in str(caught.value)
+
+
+def test_operating_points_with_times_of_their_own_are_refused(tmp_path):
+    path = at_rest(tmp_path, named='["map.mf4"]')
+    columns = {"t": [0.0, 60.0], "N": [1e3, 2e3], "Md": [1.0, 2.0], "NOx": [3.0, 4.0]}
+    arrays = {name: np.array(values) for name, values in columns.items()}
+    format_writers.mf4(tmp_path / "map.mf4", arrays, {})
+    with pytest.raises(DataFileError, match="have times of their own"):
+        read_split(path)
