@@ -22,7 +22,7 @@ KEPT = (
     *("rank", "family", "name", "output", "free_run", "standard_error", "worst_group"),
     *("one_step", "diverged", "operations", "parameters", "seconds"),
 )
-"""What the table keeps of the rows of models that it scores ..."""
+"""Fields that the table keeps of models that it scores ..."""
 LISTED = ("output", "family", "name", "free_run", "seconds")
 """... and of all others, from which `order.py` is made."""
 

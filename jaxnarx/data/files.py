@@ -187,9 +187,7 @@ def _read(
         folder = _root(path, root, description)
         found = find_files(description, folder, path)
         groups = find_groups(description, folder, path, found)
-    files = list(dict.fromkeys(file for file, *_ in found))
-    names = dict(zip(files, _record_names(files, folder), strict=True))
-    chosen = [(file, cut) for file, cut, _ in found]
+    chosen, names = _name_files(found, folder)
     data, origin = _assemble_records(chosen, names, description, max_bytes)
     records = tuple(
         dataclasses.replace(record, group=groups.get(found[n][0], ""))
@@ -216,17 +214,24 @@ def _read_at_rest(
         folder = _root(path, root, description)
         found = find_files(own, folder, path)
         parts = {file for file, *_ in find_files(description, folder, path)}
-    files = list(dict.fromkeys(file for file, *_ in found))
-    for file in files:
+    chosen, names = _name_files(found, folder)
+    for file in names:
         if file in parts:
             raise SpecError(
                 f"{path}: {file.name} is among the records and at rest; take it out of "
                 "one of them, say by a pattern that begins with !",
                 field="records.at_rest",
             )
-    names = dict(zip(files, _record_names(files, folder), strict=True))
-    chosen = [(file, cut) for file, cut, _ in found]
     return _assemble_records(chosen, names, own, max_bytes, timed=False)[0]
+
+
+def _name_files(
+    found: list[tuple[Path, Cut | None, str]], folder: Path
+) -> tuple[list[tuple[Path, Cut | None]], dict[Path, str]]:
+    """Files with what is cut from them, and the names of their records."""
+    files = list(dict.fromkeys(file for file, *_ in found))
+    names = dict(zip(files, _record_names(files, folder), strict=True))
+    return [(file, cut) for file, cut, _ in found], names
 
 
 def _assemble_records(

@@ -20,7 +20,7 @@ from jaxnarx.fleet.donors import Donors, Pass, digest, open_folder
 from jaxnarx.fleet.information import warm_up
 from jaxnarx.fleet.ladder import calibrate_donors
 from jaxnarx.fleet.passes import DonorWork, FittedDonors, fit_donors
-from jaxnarx.fleet.population import Population, expect
+from jaxnarx.fleet.population import expect
 from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.fleet.structure import (
     choose_structure,
@@ -154,12 +154,8 @@ def _finish(
         layout=dataclasses.replace(own.layout, base=network),
         start=own.vector(jnp.asarray(mean)),
     )
-    centred = Population(
-        jnp.zeros_like(found.population.mean),
-        found.population.covariance,
-        found.population.noise,
-        found.population.colour,
-    )
+    zero = jnp.zeros_like(found.population.mean)
+    centred = dataclasses.replace(found.population, mean=zero)
     typical = _typical_gram(found, fitted.sums)
     left = np.exp(_measure_left(found, fitted.sums))
     work = dataclasses.replace(work, own=own)

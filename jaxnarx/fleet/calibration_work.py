@@ -15,7 +15,7 @@ from jaxnarx.errors import DataError, SpecError
 from jaxnarx.fleet._calibrate import calibrate
 from jaxnarx.fleet.prior import FleetPrior
 from jaxnarx.models import Network
-from jaxnarx.simulation import prepare, simulate
+from jaxnarx.simulation import simulate
 from jaxnarx.solution import Solution
 
 Row = dict[str, Any]
@@ -79,37 +79,35 @@ class CalibrationWork:
         """One row per index; engines whose records are none of the fleet are rows
         too."""
         names, rows = list(self.engines), []
-        judged = functools.lru_cache(maxsize=1)(self._judge)
+        judged = functools.lru_cache(maxsize=1)(self._judge_mean)
         for index in indices:
             engine, place = divmod(int(index), len(self.samples))
             data = self.engines[names[engine]]
             try:
                 if isinstance(data, DataError):
                     raise data
-                as_is = judged(names[engine])
-                few = _first_rows(data, self._begin(data) + self.samples[place])
+                begin, as_is = judged(names[engine])
+                few = _first_rows(data, begin + self.samples[place])
                 found = calibrate(self.prior, few)
-                own = self._errors(found.value, data)
+                own = self._judge(found.value, data)[1]
                 rows.append(self._row(found, own, as_is))
             except (DataError, SpecError) as error:
                 rows.append(self._row(None, {}, {}, str(error)))
         return rows
 
-    def _begin(self, data: Dataset) -> int:
-        """Samples of the first record before the first that counts in a calibration."""
-        scored = np.asarray(prepare(self.prior.network, data[:1]).scored)[0]
-        return max(int(np.argmax(scored.any(axis=1))), self.prior.warm_up)
-
-    def _judge(self, name: str) -> dict[str, float]:
-        """Errors of the population's mean."""
+    def _judge_mean(self, name: str) -> tuple[int, dict[str, float]]:
+        """As `_judge`, of the population's mean."""
         data = self.engines[name]
         assert isinstance(data, Dataset)
-        return self._errors(self.prior.network, data)
+        return self._judge(self.prior.network, data)
 
-    def _errors(self, network: Network, data: Dataset) -> dict[str, float]:
-        """Free-run NRMSE by output, behind the samples that calibrate."""
+    def _judge(self, network: Network, data: Dataset) -> tuple[int, dict[str, float]]:
+        """Samples of the first record before the first that calibrates, and free-run
+        NRMSE by output, behind those that calibrate."""
         run = simulate(network, data).value
-        begin = self._begin(data) + max(self.samples)
+        seen = np.asarray(run.scored[0]).any(axis=1)
+        first = max(int(np.argmax(seen)), self.prior.warm_up)
+        begin = first + max(self.samples)
         told = {}
         for k, (o, name) in enumerate(
             zip(network.modelled, network.output_names, strict=True)
@@ -130,7 +128,7 @@ class CalibrationWork:
             lost = any(bool(d[k]) for d in run.diverged)
             error = np.sqrt(np.mean(far**2)) / max(float(y.std()), 1e-12)
             told[name] = np.inf if lost else float(error)
-        return told
+        return first, told
 
     def _row(
         self,

@@ -1,4 +1,4 @@
-"""What a description says beside records: signs of gains, operating points at rest."""
+"""Descriptions beside records: signs of gains, operating points at rest."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What is known beside records: signs of gains, operating points at rest."""
+"""A search with knowledge beside records: signs of gains, operating points."""
 
 import csv
 import dataclasses
@@ -86,7 +86,7 @@ def test_the_table_has_the_error_without_constraints(fit):
 
 
 def points(valid: bool = True) -> Dataset:
-    """What the plant has at rest."""
+    """The plant at rest."""
     u = np.linspace(-1.5, 1.5, 7)[:, None]
     y = np.tanh(2.5 * u) / 0.3
     found = Dataset.from_arrays([u], [y], inputs=["u"], outputs="y", sample_time=60.0)

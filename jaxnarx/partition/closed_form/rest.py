@@ -71,9 +71,7 @@ def add_rest(signals: RunSignals, points: RestPoints, memory: int) -> RunSignals
     them `MOST_WEIGHT` of what counts in the records at most.
     """
     z, x = rest_variables(signals, points.inputs)
-    pool = signals.pool
-    gain = signals.gain[len(pool.channels.inputs) + pool.outputs[0]]
-    y = signals.from_output(points.output / gain)
+    y = signals.from_output(points.output / signals.output_gain)
     samples = sum(len(one.y) for one in signals.stretches)
     counted = sum(len(at) for one in signals.stretches for at in one.counted)
     most = MOST_WEIGHT * counted / len(y)
@@ -93,7 +91,6 @@ def add_rest(signals: RunSignals, points: RestPoints, memory: int) -> RunSignals
         signals,
         stretches=(*moving, rest),
         apart=np.concatenate([signals.apart, own], axis=1),
-        has_rest=True,
     )
 
 

@@ -104,8 +104,11 @@ class RunSignals:
     it."""
     root: OutputRoot | None = None
     """Where a root of the output is modelled, whose are y, `middle` and `spread`."""
-    has_rest: bool = False
-    """Whether the last parts, one for every group, are operating points at rest."""
+
+    @property
+    def has_rest(self) -> bool:
+        """Whether the last parts, one for every group, are operating points at rest."""
+        return bool(self.stretches) and self.stretches[-1].at_rest
 
     def rest_part(self, group: int) -> int | None:
         """The part of the operating points that are held out with a group."""
@@ -132,9 +135,12 @@ class RunSignals:
     def output_spread(self) -> float:
         """Standard deviation of the output, in its unit."""
         spread = self.spread if self.root is None else self.root.spread
-        return float(
-            spread * self.gain[len(self.pool.channels.inputs) + self.pool.outputs[0]]
-        )
+        return spread * self.output_gain
+
+    @property
+    def output_gain(self) -> float:
+        """The gain of the output."""
+        return float(self.gain[len(self.pool.channels.inputs) + self.pool.outputs[0]])
 
     @property
     def factor(self) -> Int[np.ndarray, "terms degree"]:

@@ -159,7 +159,7 @@ def _beside_gates(
 def _steepest(
     network: Network, model: OutputModel, constants: Float[np.ndarray, " gates"]
 ) -> Float[np.ndarray, "gates outputs depth"]:
-    """What every gate adds to the slopes where it is steepest."""
+    """The part of the slopes that every gate adds where it is steepest."""
     assert isinstance(model.validity, AdditiveGates)
     found = np.zeros((len(constants), len(network.models), depth(network)))
     direction = np.asarray(model.validity.direction, float)

@@ -64,10 +64,11 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         train, validation = search_records(split)
         tell_findings(train)
         Origin.from_options(command.description, command.root).write(folder)
-        known = {
-            "physics": _chosen_physics(asked, split.physics),
-            "at_rest": _told_at_rest(split.at_rest),
-        }
+        physics, points = _chosen_physics(asked, split.physics), split.at_rest
+        if points is not None:
+            files = list_names(points.names)
+            say(f"{count(points.samples, 'operating point')} at rest, of {files}")
+        known = {"physics": physics, "at_rest": points}
         fit, stopped = _run(asked, train, validation, folder, known)
         network, board = drop_outputs(fit.value), fit.stats["leaderboard"]
         parts = scored_parts(train, validation, split.test, network)
@@ -193,14 +194,6 @@ def _chosen_physics(
         told = "; ".join(f"{name} {one}" for name, one in chosen.items())
         say(f"By physics, at rest: {told}")
     return chosen
-
-
-def _told_at_rest(points: Dataset | None) -> Dataset | None:
-    """The operating points at rest; they are told."""
-    if points is not None:
-        files = list_names(points.names)
-        say(f"{count(points.samples, 'operating point')} at rest, of {files}")
-    return points
 
 
 def _tell_kept(folder: Path) -> None:
