@@ -114,7 +114,7 @@ def _ratio(told: dict[str, Any]) -> list[str]:
 
 
 TRACKED = {
-    "control_tracking": "model of second degree",
+    "control_tracking": "model of cubic terms",
     "control_tracking_identified": "model of the search",
 }
 """Results of tracking, and the models that steered."""

@@ -1,15 +1,18 @@
 """Predictive control of virtual engines by networks that were identified from them.
 
-Two beds, five seeds each. A network of terms of second degree of filtered inputs, or
-with `--models identify` what `identify --preset quick` chooses, is made from six noisy
+Two beds, five seeds each. A network of cubic terms, refined in the free run as the
+forward network of chapter 7 of the thesis (`experiments/thesis`), or with
+`--models identify` what `identify --preset quick` chooses, is made from six noisy
 records; a seventh tells the observer about its errors. The engine
 itself is then steered: references are the outputs of another record, without noise, so
 that they can be reached; sensors are noisy. `gtdi`, at a sample of 60 ms: torque and
-lambda by spark and throttle with the fuel as recorded (as the inverse of chapter 7 of
-the thesis, which has recorded .06 and .18 to .24, `experiments/thesis`), or by fuel and
-throttle with the spark as recorded, the manifold pressure below the largest twentieth
-of the references' own. Fuel is commanded as its inverse, of which lambda is linear.
-`pfi`: speed by the duty of the bypass valve.
+lambda by spark and throttle with the fuel as recorded, beside the inverse network of
+chapter 7 as a feedforward, which is trained on the same records and drives the same
+engine after the same references (chapter 7 itself, with other records, has recorded
+.06 and .18 to .24); or by fuel and throttle with the spark as recorded, without a limit
+and with the manifold pressure below the largest twentieth of the references' own. Fuel
+is commanded as its inverse, of which lambda is linear. `pfi`: speed by the duty of the
+bypass valve.
 
 Beside the engine that the records come from stand engines with every parameter off by
 about a tenth; and steps of constant references, of which the error that is left at
@@ -43,15 +46,19 @@ from jaxnarx.engines import Gtdi, Pfi
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / "benchmarks"), str(HERE.parent / "thesis")]
+import inverse_bench  # noqa: E402 # pyright: ignore
+import inverse_models  # noqa: E402 # pyright: ignore
 from common import record, results_folder  # noqa: E402 # pyright: ignore
+from inverse_bed import INPUTS, OUTPUTS  # noqa: E402 # pyright: ignore
 from inverse_bed import excite as excite_gtdi  # noqa: E402 # pyright: ignore
 
 TRAINED, LENGTH = 6, 2_000
 """Records that a network is made from, and samples of each."""
-FILTERS, LAGS, TERMS = (1, 4, 16, 64), (1, 2, 3, 4), 80
 SPREAD, SISTERS = 0.1, 4
-NAMES = {"quadratic": "control_tracking", "identify": "control_tracking_identified"}
+NAMES = {"cubic": "control_tracking", "identify": "control_tracking_identified"}
 """Results by models."""
+FORWARD, EVENTS = "spark and throttle", 4
+"""The task of chapter 7's feedforward, and events of a sample there."""
 HOLD = 200
 """Samples of a constant reference, of which the last third is judged."""
 SKIPPED = 20
@@ -141,7 +148,7 @@ BEDS = {
 class Bench:
     """Records of an engine, and a network of them."""
 
-    def __init__(self, bed: Bed, seed: int, length: int, models: str = "quadratic"):
+    def __init__(self, bed: Bed, seed: int, length: int, models: str = "cubic"):
         self.bed, self.seed, self.length, self.models = bed, seed, length, models
         self.plant = bed.plant(bed.make())
         every = [self.record(n, noise=1.0) for n in range(TRAINED + 1)]
@@ -173,21 +180,23 @@ class Bench:
         )
 
     def fit(self) -> jnx.Network:
-        """Terms of second degree of filtered inputs, or what the search finds."""
+        """Cubic terms, refined, or what the search finds."""
         if self.models == "identify":
             return jnx.identify(self.train, preset="quick").value
-        method = jnx.Identification(
-            pool=jnx.Polynomial(
-                outputs=list(self.plant.outputs),
-                input_lags=LAGS,
-                output_lags=(),
-                degree=2,
-                filters=tuple(self.plant.sample_time * n for n in FILTERS),
-            ),
-            select=jnx.ForwardOLS(max_terms=TERMS),
-            refine=None,
+        pool = jnx.polynomial_pool(
+            self.train.channels,
+            input_lags=inverse_models.DEEP,
+            output_lags=(1, 2),
+            degree=3,
         )
-        return jnx.identify(self.train, method).value
+        method = jnx.ForwardOLS(max_terms=inverse_models.FORWARD_TERMS)
+        terms = jnx.select(pool, self.train, method).value
+        start = jnx.grow(terms, self.train, jnx.Global()).value
+        guard = self.train[-1:]
+        found = jnx.refine(
+            start, self.train[:-1], inverse_models.FORWARD_STEPS, validation=guard
+        )
+        return found.value
 
     def errors(self) -> dict[str, float]:
         """NRMSE of the free run over the record left out."""
@@ -221,6 +230,34 @@ def levels(bench: Bench, plant: AbstractPlant) -> jnx.Dataset:
     return bench.data([(held, ends)])
 
 
+def feedforward(bench: Bench, wanted: jnx.Dataset) -> dict[str, float]:
+    """Tracking by the inverse network of chapter 7, without feedback."""
+
+    def renamed(data: jnx.Dataset) -> jnx.Dataset:
+        return jnx.Dataset.from_arrays(
+            [np.column_stack([1000 / r.u[:, 0], r.u[:, 1:], r.u[:, 0]]) for r in data],
+            [r.y for r in data],
+            inputs=list(INPUTS),
+            outputs=list(OUTPUTS),
+            sample_time=data.sample_time,
+        )
+
+    every, asked = renamed(bench.train), renamed(wanted)
+    train, guard = every[:-1], every[-1:]
+    inverse = inverse_models.inverse_of(train, guard)[1]
+    # Of which names and gains alone are used.
+    forward = inverse_models.forward_of(train, guard, brief=True)
+    rows = np.repeat(asked.records[0].u[:, :4], EVENTS, axis=0)
+    limits = jnx.inverse.ActuatorLimits()
+    parts = inverse, forward, limits, Gtdi(), rows, asked, bench.seed
+    held = asked.records[0].u[:, 1:3].mean(axis=0)
+    (track,) = inverse_bench.bench(*parts).run([inverse_bench.case(held, True)])
+    y = asked.records[0].y[:, :2]
+    left = (track.outputs[:, :2] - y)[SKIPPED:]
+    nrmse = np.sqrt((left**2).mean(axis=0)) / y[SKIPPED:].std(axis=0)
+    return dict(zip(("TRQ", "lambda"), nrmse.tolist(), strict=True))
+
+
 def _smooth(x: np.ndarray) -> np.ndarray:
     """Means over a moving window: inputs that go together."""
     return np.convolve(np.pad(x, (100, 100), mode="edge"), np.ones(201) / 201, "valid")
@@ -249,7 +286,7 @@ def task_rows(bench: Bench, name: str, small: bool, tuned: bool) -> dict[str, An
             own, plant, asked, noise=bench.bed.noise, seed=bench.seed, **more
         )
         row = dict(zip(targets, run.value.nrmse(SKIPPED).tolist(), strict=True))
-        if limits:
+        if own.bounded:
             over = run.value.excess()[SKIPPED:]
             row["kept"] = float(np.mean(over.max(axis=1) <= 0))
             row["largest excess"] = float(over.max() / wide)
@@ -271,6 +308,11 @@ def task_rows(bench: Bench, name: str, small: bool, tuned: bool) -> dict[str, An
     drive("engine", bench.plant, wanted)
     drive("engine, again", bench.plant, wanted)  # compiled by now
     drive("without preview", bench.plant, wanted, preview=False)
+    if limits:
+        free = jnx.control.mpc(bench.network, commands, targets, records=bench.left)
+        drive("without a limit", bench.plant, wanted, free.value)
+    if name == FORWARD:
+        told["feedforward of chapter 7"] = [feedforward(bench, wanted)]
     calm = None
     if tuned:
         found = jnx.control.tune_effort(
@@ -317,7 +359,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--beds", nargs="+", choices=BEDS, default=list(BEDS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4, 5])
-    parser.add_argument("--models", choices=NAMES, default="quadratic")
+    parser.add_argument("--models", choices=NAMES, default="cubic")
     parser.add_argument("--tuned", action="store_true", help="also with tuned efforts")
     parser.add_argument("--results", metavar="DIR", help="folder for the JSON")
     parser.add_argument("--smoke", action="store_true", help="short records, one seed")

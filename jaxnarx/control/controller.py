@@ -9,7 +9,7 @@ moves in the commands' ranges,
 
 over commands that are held for blocks of samples, within bounds and rates, while
 outputs keep their limits, and inputs the domain of the network's training, but for e_l
->= 0. It is solved by sequential quadratic
+>= 0 (prices of the domain are lower). It is solved by sequential quadratic
 programming with exact derivatives of the run (Gauss-Newton), by default one step a
 sample from where the last one has ended: M. Diehl, H. G. Bock, J. P. Schloeder, SIAM J.
 Control Optim. 43, 2005, 1714-1736 (real-time iteration). J. B. Rawlings, D. Q. Mayne,
@@ -41,6 +41,11 @@ Values = Array | np.ndarray | Sequence[float | int]
 
 LINEAR, SQUARE = 100.0, 100.0
 """Price of a broken limit, and of its square, in quarters of the trained range."""
+DOMAIN_LINEAR, DOMAIN_SQUARE = 0.01, 1.0
+"""Price of the domain's index beyond one, and of its square: low at its border, which
+references and other inputs cross now and then, and high far outside. As dear as limits
+of outputs it left errors up to twice as large; free, models whose errors grow outside
+steer there (`experiments/control/tracking.py`)."""
 ROUND_OFF = 0.01
 """Added to the square of the domain's index: at the middle it has no slope."""
 LEAST_CURVATURE = 1e-8
@@ -366,8 +371,9 @@ def improve(
     rows, bound, soft = _constraints(controller, at, moves, before)
     wide = jnp.zeros((numbers + soft,) * 2, z.dtype)
     wide = wide.at[:numbers, :numbers].set(curvature)
-    wide = wide.at[numbers:, numbers:].set(SQUARE * jnp.eye(soft, dtype=z.dtype))
-    whole = jnp.concatenate([gradient, jnp.full(soft, 0.5 * LINEAR, z.dtype)])
+    linear, square = _prices(controller, soft)
+    wide = wide.at[numbers:, numbers:].set(jnp.diag(square).astype(z.dtype))
+    whole = jnp.concatenate([gradient, jnp.asarray(0.5 * linear, z.dtype)])
     found = solve_quadratic(wide, whole, rows, bound, jnp.zeros_like(whole))
     step, excess = found.z[:numbers], found.z[numbers:]
     solved = jnp.isfinite(step).all() & (found.residual < SOLVED)
@@ -376,6 +382,13 @@ def improve(
     # The domain's is no limit of an output.
     excess = jnp.where(solved, excess, 0.0)[: len(own)] * controller.size[own]
     return z[block_of(controller)] * controller.span[None], excess, solved
+
+
+def _prices(controller: Controller, soft: int) -> tuple[np.ndarray, np.ndarray]:
+    """Prices of what limits give way by, and of their squares: outputs, domain."""
+    domain = np.arange(soft) >= len(controller.bounded)
+    linear = np.where(domain, DOMAIN_LINEAR, LINEAR)
+    return linear, np.where(domain, DOMAIN_SQUARE, SQUARE)
 
 
 def block_of(controller: Controller) -> np.ndarray:

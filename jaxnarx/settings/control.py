@@ -15,7 +15,7 @@ class Command:
     """Largest value."""
     rate: Positive | None = None
     """Largest change per second in either direction; default: any."""
-    effort: NotNegative = 0.03
+    effort: NotNegative = 0.1
     """Price of a move: one by the whole trained range costs as much as an error, all
     over the horizon, of sqrt(effort) quarters of a target's trained range."""
 

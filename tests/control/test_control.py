@@ -22,7 +22,7 @@ from jaxnarx.control.controller import (
 from jaxnarx.control.observer import advance_estimate, correct, split_error
 from jaxnarx.errors import DataError, SpecError
 
-FREE = {"force": Command(low=-1.0, high=1.0, rate=1.0)}
+FREE = {"force": Command(low=-1.0, high=1.0, rate=1.0, effort=0.03)}
 
 
 def linear_controller(**more):
@@ -166,23 +166,25 @@ def test_a_command_beyond_its_bounds_comes_back_by_its_rate():
     assert (u[5:] <= 1.0 + 1e-9).all()
 
 
-def test_it_stays_in_the_domain():
-    """Of a network with a domain the plan keeps to where it was trained."""
+def test_the_domain_is_kept_at_a_price():
+    """Of a network with a domain the plan keeps near to where it was trained, and goes
+    beyond for what is far away alone."""
     network, _ = network_and_cycle()
     free = {"c": Command(low=-5.0, high=5.0, effort=0.0)}
     bare = dataclasses.replace(network, domain=None)
-    last, index = [], np.zeros((1, 1))
+    index = {}
     for one in (network, bare):
         controller = mpc(one, free, ["heat"], horizon=6, rounds=3).value
         state = controller.begin([0.0, 0.0], [0.0, 0.0])
-        last.append(controller.step(state, [0.0, 0.0], [2.0], [0.0])[1].commands[0])
-        decision = controller.step(state, [0.0, 0.0], [2.0], [0.0])[1]
-        assert decision.excess.shape == (0,)  # the domain's is none of them
-        if one is network:
-            rows = jnp.stack([jnp.zeros(6), jnp.full(6, last[0])], axis=1)
-            index = domain_index(controller, state.slow, rows)
-    assert 0.8 < float(index[0, 0]) < 1.1
-    assert last[1] > 1.5 * last[0]
+        for asked in (0.5, 2.0):
+            decision = controller.step(state, [0.0, 0.0], [asked], [0.0])[1]
+            assert decision.excess.shape == (0,)  # the domain's is none of them
+            rows = jnp.stack([jnp.zeros(6), jnp.full(6, decision.commands[0])], axis=1)
+            domain = mpc(network, free, ["heat"]).value
+            where = domain_index(domain, jnp.zeros(2), rows)
+            index[one is network, asked] = float(where[0, 0])
+    assert 0.8 < index[True, 0.5] < 1.1
+    assert 1.1 < index[True, 2.0] < 0.8 * index[False, 2.0]
 
 
 def test_steps_are_pure():
