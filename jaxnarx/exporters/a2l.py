@@ -1,16 +1,17 @@
 """A2L 1.71: what the arrays and outputs of the C files are, for calibration tools.
 
-A skeleton: addresses are zero until a tool finds them by the names of the symbols in
-the program that was built. Parameters are those of the C source. Measured values must
-exist in memory: the program keeps the last inputs in `NAME_real NAME_in[...]` and the
-last outputs in `NAME_out NAME_now`.
+Addresses are those of a binary, or zero until a tool finds them by the names of the
+symbols in the program that was built. Parameters are those of the C source. Measured
+values must exist in memory: the program keeps the last inputs in `NAME_real
+NAME_in[...]` and the last outputs in `NAME_out NAME_now`.
 """
 
+import math
 import re
 import shutil
 import subprocess
 import sysconfig
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,15 @@ LARGEST_SINGLE = 3.4e38
 def a2l_files(program: SampleProgram, golden: Golden) -> Files:
     """The file, of ISO 8859-1."""
     del golden
-    lines = "\n".join(_lines(program)) + "\n"
-    return {f"{program.name}.a2l": lines.encode("iso-8859-1")}
+    return {f"{program.name}.a2l": a2l_text(program)}
 
 
-def _lines(program: SampleProgram) -> Iterable[str]:
+def a2l_text(program: SampleProgram, symbols: Mapping[str, int] | None = None) -> bytes:
+    """The file's content, with the addresses of a binary's `symbols` if there are."""
+    return ("\n".join(_lines(program, symbols)) + "\n").encode("iso-8859-1")
+
+
+def _lines(program: SampleProgram, symbols: Mapping[str, int] | None) -> Iterable[str]:
     name = program.name
     about = quote(
         f"{', '.join(p.name for p in program.reported)} by jaxnarx, a sample every "
@@ -45,8 +50,12 @@ def _lines(program: SampleProgram) -> Iterable[str]:
     kind = "double precision" if program.precision == ONLY_DOUBLE else single
     yield f"/* For {name}.c in {kind}, in a program"
     yield f"   that holds {name}_real {name}_in[{inputs}] and {name}_out {name}_now."
-    yield f"   Addresses: a2ltool {name}.a2l --elffile PROGRAM --update ADDRESSES"
-    yield f"   --output {name}_linked.a2l */"
+    if symbols is None:
+        yield f"   Addresses: a2ltool {name}.a2l --elffile PROGRAM --update ADDRESSES"
+        yield f"   --output {name}_linked.a2l."
+        yield f"   Tables count if {name.upper()}_PARAMETER is const volatile. */"
+    else:
+        yield "   Addresses are relative to the base of the binary. */"
     yield "ASAP2_VERSION 1 71"
     yield f"/begin PROJECT {name} {about}"
     yield f"/begin MODULE {name} {about}"
@@ -62,9 +71,11 @@ def _lines(program: SampleProgram) -> Iterable[str]:
         yield f"  {quote(unit)}"
         yield "/end COMPU_METHOD"
     for table in tables:
-        yield from _characteristic(name, table)
+        at = 0 if symbols is None else symbols[f"{name}_{table.name}"]
+        yield from _characteristic(name, table, at)
     for one in measured:
-        yield from _measurement(program, *one)
+        at = 0 if symbols is None else _address(program, one[2], symbols)
+        yield from _measurement(program, *one, at)
     yield f"/begin FUNCTION {name} {about}"
     yield from _list_block("DEF_CHARACTERISTIC", [f"{name}_{t.name}" for t in tables])
     count = len(program.inputs)
@@ -74,6 +85,12 @@ def _lines(program: SampleProgram) -> Iterable[str]:
     yield "/end FUNCTION"
     yield "/end MODULE"
     yield "/end PROJECT"
+
+
+def addresses_in(text: str) -> dict[str, int]:
+    """Addresses by what stands in a file of ours."""
+    what = r'/begin (?:CHARACTERISTIC|MEASUREMENT) (\w+) ".*?".*?(0x[0-9a-f]+)'
+    return {name: int(at, 16) for name, at in re.findall(what, text, re.DOTALL)}
 
 
 def quote(text: str) -> str:
@@ -100,15 +117,27 @@ def _measurements(program: SampleProgram) -> Iterable[tuple[str, Port, str]]:
             yield f"{name}_{kind}_{word}", port, symbol(k, word)
 
 
+def _address(program: SampleProgram, symbol: str, symbols: Mapping[str, int]) -> int:
+    """The address of what is measured in double precision: `NAME_in[k]`, or a part of
+    `NAME_now`, whose numbers come first and last, with whole ones between."""
+    numbers, whole = len(program.reported) + len(program.computed), len(program.limited)
+    head, _, part = symbol.partition(".")
+    if part in program.flags:
+        behind = 8 * numbers + 8 * math.ceil(4 * whole / 8)
+        return symbols[head] + behind + 8 * list(program.flags).index(part)
+    array, place = symbol.removesuffix("]").split("[")
+    return symbols[array.removesuffix(".reported")] + 8 * int(place)
+
+
 def _method(program: SampleProgram, unit: str) -> str:
     units = [port.unit for _, port, _ in _measurements(program)]
     return f"{program.name}_unit_{units.index(unit)}"
 
 
-def _characteristic(name: str, table: ParameterTable) -> Iterable[str]:
+def _characteristic(name: str, table: ParameterTable, at: int) -> Iterable[str]:
     symbol = f"{name}_{table.name}"
     size = " ".join(map(str, table.values.shape[::-1]))
-    yield f"/begin CHARACTERISTIC {symbol} {quote(table.about)} VAL_BLK 0x0"
+    yield f"/begin CHARACTERISTIC {symbol} {quote(table.about)} VAL_BLK {at:#x}"
     yield f"  {name}_numbers 0 NO_COMPU_METHOD {-LARGEST_SINGLE} {LARGEST_SINGLE}"
     yield f"  MATRIX_DIM {size}"
     yield f'  SYMBOL_LINK "{symbol}" 0'
@@ -116,7 +145,7 @@ def _characteristic(name: str, table: ParameterTable) -> Iterable[str]:
 
 
 def _measurement(
-    program: SampleProgram, word: str, port: Port, symbol: str
+    program: SampleProgram, word: str, port: Port, symbol: str, at: int
 ) -> Iterable[str]:
     low, high = -LARGEST_SINGLE, LARGEST_SINGLE
     wide = np.abs([port.low, port.high]).max() < LARGEST_SINGLE / 4
@@ -124,7 +153,7 @@ def _measurement(
         low, high = 2 * port.low - port.high, 2 * port.high - port.low
     yield f"/begin MEASUREMENT {word} {quote(port.name)} {_type(program)}"
     yield f"  {_method(program, port.unit)} 0 0 {digits(low)} {digits(high)}"
-    yield "  ECU_ADDRESS 0x0"
+    yield f"  ECU_ADDRESS {at:#x}"
     yield f'  SYMBOL_LINK "{symbol}" 0'
     yield "/end MEASUREMENT"
 

@@ -144,8 +144,14 @@ def _header(program: SampleProgram) -> str:
         *(f"    {name}_real {flag};" for flag in program.flags),
         f"}} {name}_out;",
         "",
+        "/* Parameters are constants, which a compiler may fold. Where a tool changes",
+        f" * them in a program's memory: -D'{upper}_PARAMETER=const volatile'. */",
+        f"#ifndef {upper}_PARAMETER",
+        parameter_line(program),
+        "#endif",
+        "",
         *(
-            f"extern const {name}_real {name}_{t.name}[{t.values.size}];"
+            f"extern {upper}_PARAMETER {name}_real {name}_{t.name}[{t.values.size}];"
             for t in program.tables
         ),
         f"extern const char *const {name}_input_names[{len(program.inputs)}];",
@@ -256,6 +262,11 @@ def _source(program: SampleProgram) -> str:
     return "\n".join(lines) + "\n"
 
 
+def parameter_line(program: SampleProgram, kind: str = "const") -> str:
+    """What tables of parameters are."""
+    return f"#define {program.name.upper()}_PARAMETER {kind}"
+
+
 def told_lines(program: SampleProgram, syntax: Syntax) -> list[str]:
     """What is told of a sample: `out` is filled."""
     lines = [
@@ -280,10 +291,10 @@ def table_lines(name: str, table: ParameterTable, *, static: bool = False) -> li
     """A table of parameters, seen by others or by its own file alone."""
     rows = table.values.reshape(table.values.shape[0], -1) if table.values.size else []
     about = comment(table.about + (f" [{table.unit}]" if table.unit else ""))
+    kind = "static const" if static else f"{name.upper()}_PARAMETER"
     lines = [
         f"/* {about} */",
-        f"{'static ' if static else ''}const {name}_real "
-        f"{name}_{table.name}[{table.values.size}] = {{",
+        f"{kind} {name}_real {name}_{table.name}[{table.values.size}] = {{",
     ]
     for row in rows:
         numbers = [f"({name}_real){digits(x)}" for x in row]

@@ -1,13 +1,16 @@
 """FMUs of FMI 2.0 and 3.0 by fmpy, beside `simulate` and the reference in numpy."""
 
+import ctypes
 import dataclasses
 import itertools
+import platform
 import subprocess
 import sys
 import warnings
 import zipfile
 from io import BytesIO
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import common
 import hidden_problems
@@ -17,11 +20,14 @@ import pytest
 from common import some
 
 from jaxnarx.data import Channel, Channels, Dataset
-from jaxnarx.exporters import ExportError, Instance, c99, export, lower
+from jaxnarx.exporters import ExportError, Instance, a2l, c99, export, lower
+from jaxnarx.exporters.a2l import addresses_in
 from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
-from jaxnarx.exporters.fmu import pack
+from jaxnarx.exporters.fmu import fmu_runner, pack
+from jaxnarx.exporters.fmu.prove import load_memory
 from jaxnarx.exporters.interpret import STARTS
 from jaxnarx.exporters.proof import make_cases
+from jaxnarx.exporters.target import as_bytes
 from jaxnarx.models import Network, hold_to_range
 from jaxnarx.regressors import Variables
 from jaxnarx.simulation import simulate
@@ -37,6 +43,8 @@ HERE = 1e-12
 """Largest difference, in shares of an output's largest value: rounding."""
 STEP = 0.1
 NAMES = common.CHANNELS.names
+ELF_HERE = (platform.system(), platform.machine()) == ("Linux", "x86_64")
+"""Whether binaries have addresses that are read here."""
 
 pytestmark = pytest.mark.skipif(not compilers(), reason="there is no C compiler here")
 
@@ -563,8 +571,62 @@ def test_a_binary_that_does_something_else_does_not_come_into_being(
 
 def test_proof_of_both_versions():
     found = export(network(), records(), to=["fmu2", "fmu3"])
-    assert set(found.difference) == {"fmu2", "fmu3"}
+    versions = {"fmu2", "fmu3"}
+    more = {f"{v}, addresses of the A2L file" for v in versions} if ELF_HERE else set()
+    assert set(found.difference) == versions | more
     assert max(found.difference.values()) < HERE
+
+
+@pytest.mark.parametrize("version, target", [(2, "linux64"), (3, "x86_64-linux")])
+def test_a_calibration_tool_writes_where_the_a2l_says(version, target, tmp_path):
+    """By the rules of FMI-LS-XCP 1.0; a coefficient that is written counts in the next
+    sample."""
+    if not ELF_HERE:
+        pytest.skip("no x86-64 Linux, or no C compiler")
+    net = network()
+    found = export(net, to=[f"fmu{version}"], name="m")
+    path = tmp_path / "m.fmu"
+    path.write_bytes(as_bytes(found.files[f"m_fmi{version}.fmu"]))
+    folder = "extra/org.fmi-standard.fmi-ls-xcp"
+    with zipfile.ZipFile(path) as packed:
+        manifest = ET.fromstring(packed.read(f"{folder}/fmi-ls-manifest.xml"))
+        text = packed.read(f"{folder}/{target}/m.a2l").decode("iso-8859-1")
+        sources = packed.read(f"{folder}/m.a2l").decode("iso-8859-1")
+        assert b"once" in packed.read("documentation/fmi-ls-xcp.txt")
+        packed.extractall(tmp_path)
+    space = "{http://fmi-standard.org/fmi-ls-manifest}fmi-ls-"
+    assert manifest.tag == "fmiLayeredStandardManifest"
+    assert manifest.get(f"{space}name") == "org.fmi-standard.fmi-ls-xcp"
+    assert manifest.get(f"{space}version") == "1.0.0"
+    assert str(manifest.get(f"{space}description")).startswith("Layered standard based")
+    (interface,) = manifest
+    assert interface.tag == "Interface" and interface.get("definition") == "m.a2l"
+    assert interface.get("supportsDirectMemoryAccess") == "true"
+    assert "/include" not in text.lower()
+    assert set(addresses_in(sources).values()) == {0}
+    assert 'SYMBOL_LINK "m_in[0]" 0' in sources
+    if tool := a2l.a2ltool():
+        said = subprocess.run(
+            [tool, "--strict", "--check", f"{folder}/{target}/m.a2l"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        )
+        assert said.returncode == 0 and not a2l.complaints(said.stdout + said.stderr)
+    program = lower(net, "m")
+    path.rename(tmp_path / f"m_fmi{version}.fmu")
+    run = fmu_runner(tmp_path, program, version)
+    assert run is not None
+    u, y = (np.full((9, n), 0.1) for n in (len(program.inputs), len(program.computed)))
+    before = run(u, y)
+    handle = ctypes.CDLL(str(tmp_path / f"fmi{version}" / "m.so"))
+    memory = load_memory(program, tmp_path, version, handle)
+    table = max(program.tables, key=lambda t: t.values.size)
+    numbers = memory(f"m_{table.name}", table.values.size)
+    numbers[:] = [2 * n for n in numbers]
+    assert np.abs(run(u, y) - before).max() > 1e-6
+    numbers[:] = table.values.ravel().tolist()
+    np.testing.assert_array_equal(run(u, y), before)
 
 
 HOST = """

@@ -17,7 +17,8 @@ from jaxnarx.exporters.fmu import description
 from jaxnarx.exporters.fmu.documentation import page
 from jaxnarx.exporters.fmu.glue import read_template, wrapper
 from jaxnarx.exporters.fmu.variables import quantities
-from jaxnarx.exporters.form import BOTH, ONLY_SINGLE, SampleProgram
+from jaxnarx.exporters.fmu.xcp import writable, xcp_files
+from jaxnarx.exporters.form import BOTH, ONLY_DOUBLE, ONLY_SINGLE, SampleProgram
 from jaxnarx.exporters.proof import ExportError
 from jaxnarx.exporters.target import Files, Golden, as_bytes
 from jaxnarx.files import TemporaryFolder
@@ -51,7 +52,8 @@ def learning_fmu(program: SampleProgram, code: Files, version: int) -> Files:
 
 def _pack(program: SampleProgram, parts: dict[str, str], version: int) -> Files:
     made = binary(program, parts, version)
-    return {archive_name(program, version): archive(parts | made)}
+    memory = xcp_files(dataclasses.replace(program, precision=ONLY_DOUBLE), made)
+    return {archive_name(program, version): archive(parts | made | memory)}
 
 
 def archive_name(program: SampleProgram, version: int) -> str:
@@ -76,6 +78,7 @@ def contents(
         sources.append(f"{name}_adapt.c")
     found = {
         **{f"sources/{file}": str(code[file]) for file in files},
+        f"sources/{name}.h": writable(str(code[f"{name}.h"]), program),
         f"sources/{sources[1]}": wrapper(
             program, variables, token, version, learns=learns
         ),

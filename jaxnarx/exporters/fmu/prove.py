@@ -3,17 +3,21 @@
 import ctypes
 import subprocess
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from jaxnarx.exporters.a2l import addresses_in
 from jaxnarx.exporters.compilers import WARNING_FLAGS, compiler
 from jaxnarx.exporters.fmu.glue import read_template
 from jaxnarx.exporters.fmu.pack import archive_name, place_of_binary
 from jaxnarx.exporters.fmu.variables import quantities
+from jaxnarx.exporters.fmu.xcp import FOLDER, symbols_of
 from jaxnarx.exporters.form import SampleProgram
+from jaxnarx.exporters.names import identifiers
 from jaxnarx.exporters.proof import DOUBLE_TOLERANCE, Case, ExportError, Runner, worst
 from jaxnarx.exporters.target import Proof
 
@@ -34,9 +38,75 @@ def _proven(
     run = fmu_runner(folder, program, version)
     if run is None:
         return {}, [f"fmu{version}: sources only, there is no C compiler here"]
-    return {
-        f"fmu{version}": worst(cases, run, DOUBLE_TOLERANCE, f"FMU {version}.0")
-    }, []
+    # What is loaded stays as the last run has left it.
+    handle = ctypes.CDLL(str(_library(program, folder, version)))
+    last = []
+
+    def seen(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+        out = run(u, y)
+        last[:] = u[-1], out[-1]
+        return out
+
+    found = {f"fmu{version}": worst(cases, seen, DOUBLE_TOLERANCE, f"FMU {version}.0")}
+    return found | _prove_addresses(program, folder, version, handle, *last), []
+
+
+def _library(program: SampleProgram, folder: Path, version: int) -> Path:
+    """The binary beside the archive."""
+    place = place_of_binary(program.name, version)
+    assert place is not None
+    return folder / f"fmi{version}" / Path(place).name
+
+
+def load_memory(
+    program: SampleProgram, folder: Path, version: int, handle: ctypes.CDLL
+) -> Callable[[str, int], Any]:
+    """A function that finds as many numbers of a loaded binary as are asked for, by
+    what the A2L file calls them; nothing has a place where there are no addresses."""
+    place = place_of_binary(program.name, version)
+    assert place is not None
+    file = f"{FOLDER}/{Path(place).parent.name}/{program.name}.a2l"
+    with zipfile.ZipFile(folder / archive_name(program, version)) as packed:
+        if file not in packed.namelist():
+            return lambda name, count: None
+        addresses = addresses_in(packed.read(file).decode("iso-8859-1"))
+    entry = f"fmi{version}GetVersion"
+    where = ctypes.cast(getattr(handle, entry), ctypes.c_void_p).value
+    assert where is not None
+    library = _library(program, folder, version).read_bytes()
+    base = where - symbols_of(library)[entry]
+    return lambda name, count: (ctypes.c_double * count).from_address(
+        base + addresses[name]
+    )
+
+
+def _prove_addresses(
+    program: SampleProgram,
+    folder: Path,
+    version: int,
+    handle: ctypes.CDLL,
+    u: np.ndarray,
+    y: np.ndarray,
+) -> dict[str, float]:
+    """What memory holds where the A2L file says so, behind a run that has ended with
+    inputs `u`, which may be missing, and outputs `y`; nothing where there are no
+    addresses."""
+    memory = load_memory(program, folder, version, handle)
+    wanted = {f"{program.name}_{t.name}": t.values for t in program.tables}
+    for kind, ports, values in (
+        ("in", program.inputs, u),
+        ("out", program.reported, y),
+    ):
+        words = identifiers(port.name for port in ports)
+        for word, value in zip(words, values, strict=True):
+            wanted[f"{program.name}_{kind}_{word}"] = np.atleast_1d(value)
+    for name, values in wanted.items():
+        numbers = memory(name, values.size) if values.size else ()
+        if numbers is None:
+            return {}
+        if not np.array_equal(numbers, values.ravel(), equal_nan=True):
+            raise ExportError(f"FMU {version}.0: the address of {name} is wrong")
+    return {f"fmu{version}, addresses of the A2L file": 0.0}
 
 
 def fmu_runner(

@@ -122,6 +122,11 @@ static int64_t fmi_unit_fits(const unit *m, double t, double h)
     return (int64_t)steps;
 }
 
+/* The last sample that was taken, of whatever instance: for tools that read memory by
+ * the A2L file. */
+NAME_real NAME_in[UPPER_INPUTS];
+NAME_out NAME_now;
+
 static void fmi_unit_take(unit *m, int64_t steps)
 {
     NAME_real u[UPPER_INPUTS];
@@ -136,6 +141,8 @@ static void fmi_unit_take(unit *m, int64_t steps)
     }
     m->samples += steps;
     m->fresh = 0;
+    memcpy(NAME_in, u, sizeof(NAME_in));
+    NAME_now = m->now;
 }
 
 /* Values by reference. 0: there is no such value, or not now. */

@@ -1,0 +1,107 @@
+"""FMI-LS-XCP 1.0: a calibration tool reads and writes the memory of an FMU.
+
+An importer's own XCP service takes addresses from an A2L file in the archive, those of
+the model's parameters, inputs and outputs. They are relative to the base of the binary;
+for sources, symbols stand in their place. Modelica Association Project FMI, FMI Layered
+Standard for XCP, 1.0.0: the manifest, the structure of the archive, external services.
+"""
+
+import struct
+from collections.abc import Mapping
+from pathlib import PurePosixPath
+from xml.etree import ElementTree as ET
+
+from jaxnarx.exporters.a2l import a2l_text
+from jaxnarx.exporters.c99 import parameter_line
+from jaxnarx.exporters.form import SampleProgram
+
+NAME, VERSION = "org.fmi-standard.fmi-ls-xcp", "1.0.0"
+FOLDER = f"extra/{NAME}"
+ABOUT = (
+    "Layered standard based on FMI 2.0 and FMI 3.0 for describing and implementing XCP "
+    "support for FMUs, which can either provide an XCP service or allow direct memory "
+    "access via A2L files."
+)
+"""The description that the standard demands."""
+MANIFEST = "http://fmi-standard.org/fmi-ls-manifest"
+USE = """How to calibrate this FMU by XCP
+
+The importer's XCP service reads and writes the memory of the binary. Addresses in
+{folder}/{target} are relative to the base of the
+binary. The A2L file beside the manifest has symbols in their place, for binaries that
+are built from the sources.
+
+Parameters may be written between steps; nothing is checked then: certificates, ranges
+and proofs are those of the model that was exported. Measured values are those of the
+last sample that was taken. All instances share them, so that an FMU that is calibrated
+must be instantiated once.
+"""
+ELF = b"\x7fELF\x02\x01"  # 64 bits, little end first
+SYMBOLS = 2
+
+
+def writable(header: str, program: SampleProgram) -> str:
+    """The header of the C files, with parameters that may be written."""
+    return header.replace(parameter_line(program), parameter_line(program, "").rstrip())
+
+
+def xcp_files(
+    program: SampleProgram, binaries: Mapping[str, bytes]
+) -> dict[str, str | bytes]:
+    """Manifest and A2L files by their place in the archive."""
+    file = f"{program.name}.a2l"
+    found: dict[str, str | bytes] = {
+        f"{FOLDER}/fmi-ls-manifest.xml": _manifest(file),
+        f"{FOLDER}/{file}": a2l_text(program),
+    }
+    target = "(there is no binary)"
+    for place, content in binaries.items():
+        symbols = symbols_of(content)
+        if symbols:
+            target = PurePosixPath(place).parent.name
+            found[f"{FOLDER}/{target}/{file}"] = a2l_text(program, symbols)
+    about = USE.format(folder=FOLDER, target=target)
+    return found | {"documentation/fmi-ls-xcp.txt": about}
+
+
+def _manifest(file: str) -> str:
+    ET.register_namespace("fmi-ls", MANIFEST)
+    own = {"name": NAME, "version": VERSION, "description": ABOUT}
+    root = ET.Element(
+        "fmiLayeredStandardManifest",
+        {f"{{{MANIFEST}}}fmi-ls-{k}": text for k, text in own.items()},
+    )
+    ET.SubElement(
+        root,
+        "Interface",
+        definition=file,
+        description="Parameters, inputs and outputs of the model",
+        supportsDirectMemoryAccess="true",
+    )
+    ET.indent(root)
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    return head + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def symbols_of(library: bytes) -> dict[str, int]:
+    """Addresses of a library's symbols, relative to its base; none where the file is
+    not ELF of 64 bits (Tool Interface Standard, ELF 1.2, 1995)."""
+    if not library.startswith(ELF):
+        return {}
+    (start,) = struct.unpack_from("<Q", library, 0x28)
+    size, count = struct.unpack_from("<HH", library, 0x3A)
+    form = "<IIQQQQIIQQ"
+    sections = [
+        struct.unpack_from(form, library, start + n * size) for n in range(count)
+    ]
+    found = {}
+    for _, kind, _, _, place, length, link, _, _, each in sections:
+        if kind != SYMBOLS:
+            continue
+        names = sections[link][4]
+        for at in range(place, place + length, each):
+            name, _, _, where, address, _ = struct.unpack_from("<IBBHQQ", library, at)
+            end = library.index(b"\0", names + name)
+            if where:
+                found[library[names + name : end].decode("ascii", "replace")] = address
+    return found
