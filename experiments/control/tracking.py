@@ -102,6 +102,8 @@ class Bed:
     noise: dict[str, float]
     tasks: dict[str, tuple[dict[str, Command], tuple[str, ...], str | None]]
     """Commands, targets, and the output that is limited."""
+    horizon: int = 20
+    """Samples that are looked ahead."""
 
 
 def gtdi_inputs(key: Any, length: int) -> np.ndarray:
@@ -141,6 +143,7 @@ BEDS = {
         excite=pfi_inputs,
         noise={"speed": 2.5, "MAP": 0.3},
         tasks={"duty": ({"duty": Command()}, ("speed",), "MAP")},
+        horizon=60,
     ),
 }
 
@@ -272,9 +275,8 @@ def task_rows(bench: Bench, name: str, small: bool, tuned: bool) -> dict[str, An
         own = wanted.records[0].y[:, list(bench.plant.outputs).index(limited)]
         limits[limited] = OutputLimit(at_most=float(np.quantile(own, BELOW)))
         wide = float(np.ptp(own))
-    controller = jnx.control.mpc(
-        bench.network, commands, targets, limits, records=bench.left
-    ).value
+    more = {"horizon": bench.bed.horizon, "records": bench.left}
+    controller = jnx.control.mpc(bench.network, commands, targets, limits, **more).value
     key = jax.random.key(bench.seed + 50)
     told: dict[str, Any] = {}
 
@@ -309,7 +311,7 @@ def task_rows(bench: Bench, name: str, small: bool, tuned: bool) -> dict[str, An
     drive("engine, again", bench.plant, wanted)  # compiled by now
     drive("without preview", bench.plant, wanted, preview=False)
     if limits:
-        free = jnx.control.mpc(bench.network, commands, targets, records=bench.left)
+        free = jnx.control.mpc(bench.network, commands, targets, **more)
         drive("without a limit", bench.plant, wanted, free.value)
     if name == FORWARD:
         told["feedforward of chapter 7"] = [feedforward(bench, wanted)]

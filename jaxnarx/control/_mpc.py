@@ -68,7 +68,8 @@ def mpc(
             of errors is taken from the free run over them. Default: noise and steps of
             errors of a fiftieth of a quarter of every output's trained range.
         observe_states: Whether states are estimated too, not disturbances alone;
-            default: where the network has hidden states.
+            default: where the network has hidden states or looks at outputs, so that
+            its state does not follow from its inputs.
 
     Returns:
         `value` is the `Controller`. `detail` tells what is to be known before it is
@@ -111,7 +112,7 @@ def mpc(
     places = _places_of_blocks(horizon, blocks)
     if rounds < 1:
         raise SpecError(f"rounds must be at least 1, got {rounds}", field="rounds")
-    observe = bool(network.hidden) if observe_states is None else observe_states
+    observe = _looks_back(network) if observe_states is None else observe_states
     columns = [names.index(n) for n in commands]
     trained = np.asarray(network.low), np.asarray(network.high)
     low, high = (
@@ -177,6 +178,13 @@ def _places_of_blocks(horizon: int, blocks: Sequence[int]) -> tuple[int, ...]:
             field="blocks",
         )
     return tuple(blocks)
+
+
+def _looks_back(network: Network) -> bool:
+    """Whether a run depends on outputs or hidden states of before."""
+    looked_at = {s for s, _ in tables(network)}
+    own = looked_at & set(network.signals)
+    return bool(network.hidden or network.parallel or own)
 
 
 def _signal(network: Network, name: str) -> int:
@@ -264,8 +272,7 @@ def _remarks(controller: Controller) -> str:
                 f"{name} may leave the range of the training, {low[at]:.4g} to "
                 f"{high[at]:.4g}: the network guesses there"
             )
-    recursive = network.parallel or looked_at & set(network.signals)
-    if recursive and network.certificate is None:
+    if _looks_back(network) and network.certificate is None:
         told.append(
             "nothing proves that the network's free run is stable (no certificate): "
             "look at the closed loop before it is used"

@@ -62,7 +62,7 @@ def through_casadi(
     network's domain is not handed over.
 
     Args:
-        controller: What is to be solved; of a network without hidden states.
+        controller: What is to be solved; made with `observe_states=False`.
         solver: Name of a solver of nonlinear programs that CasADi has.
         options: Its options; by default IPOPT is silent, and others have their own.
 
@@ -73,7 +73,8 @@ def through_casadi(
         SpecError: CasADi is not installed, or the controller estimates states.
 
     Example:
-        controller = jnx.control.mpc(network, {"a": jnx.control.Command()}, ["y"]).value
+        free = {"a": jnx.control.Command()}
+        controller = jnx.control.mpc(network, free, ["y"], observe_states=False).value
         exact = jnx.control.through_casadi(controller)
         print(exact.controller.command_names)
     """

@@ -36,7 +36,8 @@ def test_a_plan_is_the_least_of_its_cost():
     network = dataclasses.replace(network, domain=None)
     free = {"c": Command(low=-0.9, high=0.8, rate=0.6, effort=0.1)}
     limit = {"heat": OutputLimit(at_most=0.1, guard=0)}
-    found = mpc(network, free, {"y": 2.0}, limit, horizon=6, rounds=12, blocks=range(6))
+    more = {"rounds": 12, "blocks": range(6), "observe_states": False}
+    found = mpc(network, free, {"y": 2.0}, limit, horizon=6, **more)
     controller = found.value
     state = controller.begin([0.3, 0.2], [0.1, 0.2])
     reference = np.linspace(0.2, 0.5, 6)[:, None]
@@ -298,7 +299,10 @@ def test_a_solver_of_casadi_finds_the_same_commands():
     pytest.importorskip("casadi")
     command = Command(low=-0.8, high=0.8, rate=0.4)
     limits = {"heat": OutputLimit(at_most=0.15)}
-    ours = mpc(linear(), {"force": command}, ["speed"], limits, horizon=12, rounds=8)
+    with pytest.raises(SpecError, match="observe_states=False"):
+        through_casadi(linear_controller())
+    more = {"rounds": 8, "observe_states": False}
+    ours = mpc(linear(), {"force": command}, ["speed"], limits, horizon=12, **more)
     theirs = through_casadi(ours.value)
     state = ours.value.begin([0.0, 0.0], [0.0, 0.0])
     other = theirs.begin([0.0, 0.0], [0.0, 0.0])
