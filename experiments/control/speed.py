@@ -49,14 +49,13 @@ def main() -> None:
     commands, targets, _ = bench.bed.tasks[TASK]
     network = dataclasses.replace(bench.network, domain=None)
 
-    def made(model: jnx.Network, rounds: int, **more: bool) -> Controller:
-        return jnx.control.mpc(
-            model, commands, targets, rounds=rounds, records=bench.left, **more
-        ).value
+    def made(model: jnx.Network, rounds: int, own: bool | None = None) -> Controller:
+        more = {"rounds": rounds, "records": bench.left, "observe_states": own}
+        return jnx.control.mpc(model, commands, targets, **more).value
 
     # CasADi has neither our states nor the domain; by default there are both.
     whole = made(bench.network, 1)
-    ours, exact = (made(network, n, observe_states=False) for n in (1, ROUNDS))
+    ours, exact = (made(network, n, False) for n in (1, ROUNDS))
     (row,) = bench.left.records
     names = ours.input_names
     given = row.u[:, [names.index(n) for n in ours.given_names]]

@@ -18,7 +18,8 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._steady_states import operating_point, steady_states
-from jaxnarx.formatting import page
+from jaxnarx.evaluation.section import Section
+from jaxnarx.formatting import count, list_names, page
 from jaxnarx.models import Network, ranges
 from jaxnarx.partition import INPUT_STEP_SHARE, make_pairs
 from jaxnarx.settings import Physics, require_physics
@@ -190,6 +191,36 @@ def count_wrong_signs(
         wrong = known & (rise < -FLAT_RANGE_SHARE * step)
         out[name] = WrongSigns(int(wrong.sum()), int(known.sum()))
     return out
+
+
+def section_of_signs(
+    network: Network, data: Dataset, physics: Mapping[str, Physics]
+) -> Section | None:
+    """The signs that physics asks of a network's gains at rest, and how many of the
+    gains are wrong; None where nothing is asked of its outputs."""
+    found = count_wrong_signs(network, data, physics)
+    if not found:
+        return None
+    rows = tuple(
+        (name, str(physics[name]), one.wrong, one.known) for name, one in found.items()
+    )
+    told = [
+        f"{one.wrong} of {count(one.known, 'gain')} of {name} at rest have another "
+        "sign than physics asks."
+        for name, one in found.items()
+        if one.wrong
+    ]
+    unknown = [name for name, one in found.items() if not one.known]
+    if unknown:
+        told.append(
+            f"Of {list_names(unknown)} no gain is known here: nothing that is asked "
+            "moves in these records, or the model does not come to rest."
+        )
+    if not told:
+        told = ["All gains at rest have the signs that physics asks."]
+    wrong = tuple((n, 2) for n, row in enumerate(rows) if row[2])
+    header = "output", "asked", "wrong gains", "known gains"
+    return Section("Signs of gains", tuple(told), header, rows, marked=wrong)
 
 
 def _asked_here(data: Dataset, physics: Physics) -> Physics | None:

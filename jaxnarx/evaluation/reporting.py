@@ -26,7 +26,11 @@ from jaxnarx.evaluation.domain_errors import (
 from jaxnarx.evaluation.effect_sizes import effects
 from jaxnarx.evaluation.error_distribution import error_distribution
 from jaxnarx.evaluation.extrapolation import find_outside, held_notes, range_notes
-from jaxnarx.evaluation.gain_signs import GainFinding, check_gains
+from jaxnarx.evaluation.gain_signs import (
+    GainFinding,
+    check_gains,
+    section_of_signs,
+)
 from jaxnarx.evaluation.page_records import ShownRecord, shown_records
 from jaxnarx.evaluation.regions import describe_partition
 from jaxnarx.evaluation.remarks import (
@@ -44,12 +48,13 @@ from jaxnarx.evaluation.rows import (
     mode_name,
     score,
 )
-from jaxnarx.evaluation.section import FreeRun
+from jaxnarx.evaluation.section import FreeRun, Section
 from jaxnarx.evaluation.table import name_data
 from jaxnarx.evaluation.traces import Residuals, Trace, choose, residuals
 from jaxnarx.evaluation.worst_segments import worst_stretches
 from jaxnarx.formatting import count
 from jaxnarx.models import FLAG, Network
+from jaxnarx.settings import Physics
 from jaxnarx.simulation import Prepared, predict, prepare, simulate
 
 OtherRuns = list[tuple[Channel, list[ScoredSamples]]]
@@ -87,6 +92,7 @@ def report(
     leaderboard: Mapping[str, Any] | None = None,
     over: Sequence[str] | None = None,
     within: float | int | None = None,
+    physics: Mapping[str, Physics] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> Report:
     """Score `network` on `data`: k-step prediction for each horizon, and free run.
@@ -118,6 +124,8 @@ def report(
             the two that schedule most of each output.
         within: Tolerance of the free-run error in the unit of the outputs; the report
             tells the share of the samples that keep it.
+        physics: Signs of gains at rest by output: the report counts the wrong ones over
+            the main part.
         provenance: Text that is stored beside the versions and data hashes.
 
     Returns:
@@ -219,7 +227,8 @@ def report(
                 runs[main][FREE_RUN],
                 parts.get("train"),
             )
-        ),
+        )
+        | _signs(network, parts[main], physics),
         network=network,
         records=_records_to_show(
             network, ready, main, outputs, runs, free, bounded, index, others
@@ -308,6 +317,16 @@ def _diagnostics(
     found = diagnose(network, data, selection=selection)
     more = [] if found.status_name == "ok" else [found.detail + "."]
     return found.value, [*found.value.summary, *more]
+
+
+def _signs(
+    network: Any, data: Dataset, physics: Mapping[str, Physics] | None
+) -> dict[str, Section]:
+    """The section of the signs that are asked, where there are any."""
+    if not physics or not isinstance(network, Network):
+        return {}
+    section = section_of_signs(network, data, physics)
+    return {} if section is None else {"physics": section}
 
 
 def _gains(

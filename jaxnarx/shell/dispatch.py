@@ -420,6 +420,7 @@ def _report(command: commands.Report, typed: str) -> int:
                 beside=others,
                 over=over,
                 within=command.within,
+                physics=split.physics,
                 provenance=told,
             )
             result = replace(result, next_command=propose_simulation(command.model))

@@ -12,7 +12,8 @@ from test_verdict import FINE, made
 import jaxnarx as jnx
 from jaxnarx.engines import Vct, records
 from jaxnarx.evaluation import check_gains
-from jaxnarx.evaluation.gain_signs import GainFinding
+from jaxnarx.evaluation.gain_signs import GainFinding, section_of_signs
+from jaxnarx.identification import Physics
 
 VARIABLES = ((A, 0), (B, 1), (Y, 1))
 LOW, HIGH = np.array([-4.0, -1.0, -9.0, -1.0]), np.array([4.0, 1.0, 9.0, 1.0])
@@ -50,9 +51,31 @@ def test_a_gain_that_turns_at_a_maximum_is_told_where():
     assert not found.rises and found.low > 1.7 and found.unit == "V"
 
 
+def test_a_report_counts_gains_with_another_sign_than_asked():
+    """The gain of a is negative where b < -.1; that of b is positive where a > 0."""
+    net = network(((0, 1), 0.2), ((1, 2), 1.0))
+    bare = {"stability": False, "diagnostics": False, "horizons": (1,)}
+    known = {"y": Physics(increases_with=["a"])}
+    told = jnx.report(net, data, physics=known, **bare)
+    section = told.sections["physics"]
+    ((name, asked, wrong, gains),) = section.rows
+    assert (name, asked) == ("y", str(known["y"]))
+    assert isinstance(wrong, int) and isinstance(gains, int) and 0 < wrong < gains
+    assert section.marked == ((0, 2),)
+    assert f"{wrong} of {gains} gains of y at rest" in section.sentences[0]
+    assert section.title in str(told)
+    right = network(((0, 1), 0.4), ((0, 2), -0.2))
+    section = jnx.report(right, data, physics=known, **bare).sections["physics"]
+    assert section.sentences == ("All gains at rest have the signs that physics asks.",)
+    assert "physics" not in jnx.report(net, data, **bare).sections
+
+
 def test_what_does_not_come_to_rest_says_nothing():
     models = [[((0, 3), 1.2), ((0, 1), 0.5), ((1, 1), -0.25)]]
-    assert check_gains(network(models=models), data) == ()
+    restless = network(models=models)
+    assert check_gains(restless, data) == ()
+    section = section_of_signs(restless, data, {"y": Physics(increases_with=["a"])})
+    assert section is not None and "Of y no gain is known here" in str(section)
 
 
 def test_a_jump_is_told():

@@ -18,6 +18,7 @@ from jaxnarx.identification import (
     with_group,
 )
 from jaxnarx.models import Network, combine_outputs, drop_outputs, save
+from jaxnarx.settings import Physics
 from jaxnarx.shell.messages import say, size
 from jaxnarx.shell.output import write_report, write_text, write_together
 
@@ -141,6 +142,7 @@ def score_model(
     found: SearchFolder,
     taken: Mapping[str, int],
     told: Mapping[str, Any],
+    physics: Mapping[str, Physics] | None = None,
 ) -> Report:
     """The report of a model of the search; `taken` are candidates chosen by hand."""
     board = found.leaderboard
@@ -154,6 +156,7 @@ def score_model(
             for name in network.output_names
         },
         beside=_select_long_enough(rivals(found, network.output_names, taken), parts),
+        physics=physics,
         provenance=told,
     )
 

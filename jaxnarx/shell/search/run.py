@@ -74,7 +74,7 @@ def search(command: Identify, asked: Automatic, typed: str) -> int:
         parts = scored_parts(train, validation, split.test, network)
         if look := fit.stats.get("look"):
             told["seen in the data"] = look
-        result = score_model(network, parts, read_search(folder), {}, told)
+        result = score_model(network, parts, read_search(folder), {}, told, physics)
         model = str(folder / RUN_FILES[0])
         judgement = None if stopped else result.verdict
         following = propose_after_search(command, asked, judgement, model=model)
