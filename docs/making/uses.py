@@ -9,6 +9,8 @@ CALIBRATED = "vct", "pfi", "gtdi", "diesel"
 CONTROLLED = {
     "engine": "the engine of the records",
     "engine, efforts tuned": "the same, efforts tuned",
+    "feedforward of chapter 7": "the same, by the inverse model alone",
+    "without a limit": "the same, without a limit",
     "without preview": "the same, references known as they come",
     "sisters": "engines with other parameters",
     "sisters, efforts tuned": "these, efforts tuned",
