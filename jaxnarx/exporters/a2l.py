@@ -53,7 +53,7 @@ def _lines(program: SampleProgram, symbols: Mapping[str, int] | None) -> Iterabl
     if symbols is None:
         yield f"   Addresses: a2ltool {name}.a2l --elffile PROGRAM --update ADDRESSES"
         yield f"   --output {name}_linked.a2l."
-        yield f"   Tables count if {name.upper()}_PARAMETER is const volatile. */"
+        yield f"   Changes count at once if {name.upper()}_PARAMETER is volatile. */"
     else:
         yield "   Addresses are relative to the base of the binary. */"
     yield "ASAP2_VERSION 1 71"
@@ -89,8 +89,10 @@ def _lines(program: SampleProgram, symbols: Mapping[str, int] | None) -> Iterabl
 
 def addresses_in(text: str) -> dict[str, int]:
     """Addresses by what stands in a file of ours."""
-    what = r'/begin (?:CHARACTERISTIC|MEASUREMENT) (\w+) ".*?".*?(0x[0-9a-f]+)'
-    return {name: int(at, 16) for name, at in re.findall(what, text, re.DOTALL)}
+    place = r"(?:VAL_BLK|ECU_ADDRESS) 0x([0-9a-f]+)$"
+    what = rf'/begin (?:CHARACTERISTIC|MEASUREMENT) (\w+) ".*?{place}'
+    found = re.findall(what, text, re.DOTALL | re.MULTILINE)
+    return {name: int(at, 16) for name, at in found}
 
 
 def quote(text: str) -> str:

@@ -145,7 +145,7 @@ def _header(program: SampleProgram) -> str:
         f"}} {name}_out;",
         "",
         "/* Parameters are constants, which a compiler may fold. Where a tool changes",
-        f" * them in a program's memory: -D'{upper}_PARAMETER=const volatile'. */",
+        f" * them in memory: -D{upper}_PARAMETER=volatile, and with const in flash. */",
         f"#ifndef {upper}_PARAMETER",
         parameter_line(program),
         "#endif",

@@ -186,7 +186,7 @@ def parse_number(word: str, source: str, line: int, block: str) -> float:
 
 
 ARRAY_PATTERN = re.compile(
-    r"\b(?:const|\w+_PARAMETER)\s+\w+\s+(\w+)\s*\[\s*(\d{1,9})\s*\]\s*=\s*\{([^{}]*)\}\s*;"
+    r"\b(?:const|\w+_PARAMETER)(?:\s+volatile)?\s+\w+\s+(\w+)\s*\[\s*(\d{1,9})\s*\]\s*=\s*\{([^{}]*)\}\s*;"
 )
 CAST_PATTERN = re.compile(r"\(\s*\w+\s*\)")
 COMMENT_PATTERN = re.compile(r'"(?:\\.|[^"\\\n])*"|/\*.*?\*/|//[^\n]*', re.DOTALL)

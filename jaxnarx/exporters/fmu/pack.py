@@ -47,12 +47,20 @@ def _pack_files(program: SampleProgram, golden: Golden, *, version: int) -> File
 def learning_fmu(program: SampleProgram, code: Files, version: int) -> Files:
     """An FMU whose coefficients follow the engine; `code` is that of the model and what
     learns (`jaxnarx.exporters.c_adapt`)."""
-    return _pack(program, contents(program, code, version, learns=True), version)
+    parts = contents(program, code, version, learns=True)
+    return _pack(program, parts, version, learns=True)
 
 
-def _pack(program: SampleProgram, parts: dict[str, str], version: int) -> Files:
+def _pack(
+    program: SampleProgram,
+    parts: dict[str, str],
+    version: int,
+    *,
+    learns: bool = False,
+) -> Files:
     made = binary(program, parts, version)
-    memory = xcp_files(dataclasses.replace(program, precision=ONLY_DOUBLE), made)
+    double = dataclasses.replace(program, precision=ONLY_DOUBLE)
+    memory = xcp_files(double, made, learns=learns)
     return {archive_name(program, version): archive(parts | made | memory)}
 
 
@@ -78,7 +86,7 @@ def contents(
         sources.append(f"{name}_adapt.c")
     found = {
         **{f"sources/{file}": str(code[file]) for file in files},
-        f"sources/{name}.h": writable(str(code[f"{name}.h"]), program),
+        f"sources/{name}.h": writable(str(code[f"{name}.h"]), program, learns=learns),
         f"sources/{sources[1]}": wrapper(
             program, variables, token, version, learns=learns
         ),

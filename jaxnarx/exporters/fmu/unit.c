@@ -124,13 +124,14 @@ static int64_t fmi_unit_fits(const unit *m, double t, double h)
 
 /* The last sample that was taken, of whatever instance: for tools that read memory by
  * the A2L file. */
-NAME_real NAME_in[UPPER_INPUTS];
-NAME_out NAME_now;
+volatile NAME_real NAME_in[UPPER_INPUTS];
+volatile NAME_out NAME_now;
 
 static void fmi_unit_take(unit *m, int64_t steps)
 {
     NAME_real u[UPPER_INPUTS];
     int64_t n = 0;
+    size_t k;
     fmi_unit_inputs(m, u);
     if (m->fresh) {
         m->past = m->next;
@@ -141,7 +142,9 @@ static void fmi_unit_take(unit *m, int64_t steps)
     }
     m->samples += steps;
     m->fresh = 0;
-    memcpy(NAME_in, u, sizeof(NAME_in));
+    for (k = 0; k < UPPER_INPUTS; k++) {
+        NAME_in[k] = u[k];
+    }
     NAME_now = m->now;
 }
 

@@ -27,40 +27,54 @@ MANIFEST = "http://fmi-standard.org/fmi-ls-manifest"
 USE = """How to calibrate this FMU by XCP
 
 The importer's XCP service reads and writes the memory of the binary. Addresses in
-{folder}/{target} are relative to the base of the
-binary. The A2L file beside the manifest has symbols in their place, for binaries that
-are built from the sources.
-
+{folder}/{target} are relative to its base.
+{sources}
 Parameters may be written between steps; nothing is checked then: certificates, ranges
-and proofs are those of the model that was exported. Measured values are those of the
-last sample that was taken. All instances share them, so that an FMU that is calibrated
-must be instantiated once.
+and proofs are those of the model that was exported. A sample whose outputs were asked
+for before it was taken keeps its parameters. Measured values are those of the last
+sample that was taken. All instances share them, so that an FMU that is calibrated must
+be instantiated once.
+"""
+SOURCES = """
+The A2L file beside the manifest has symbols in place of addresses, for binaries that
+are built from the sources, without optimisation at link time.
+"""
+LEARNING = """
+Coefficients that are learnt belong to an instance and are not among the parameters:
+what is written to their tables is what learning begins from.
 """
 ELF = b"\x7fELF\x02\x01"  # 64 bits, little end first
 SYMBOLS = 2
 
 
-def writable(header: str, program: SampleProgram) -> str:
-    """The header of the C files, with parameters that may be written."""
-    return header.replace(parameter_line(program), parameter_line(program, "").rstrip())
+def writable(header: str, program: SampleProgram, *, learns: bool) -> str:
+    """The header of the C files, with parameters that may be written at any time; of a
+    model that learns with tables that learning begins from."""
+    line = parameter_line(program)
+    assert line in header, "tables of another header would stay constant"
+    kind = "" if learns else "volatile"
+    return header.replace(line, parameter_line(program, kind).rstrip())
 
 
 def xcp_files(
-    program: SampleProgram, binaries: Mapping[str, bytes]
+    program: SampleProgram, binaries: Mapping[str, bytes], *, learns: bool = False
 ) -> dict[str, str | bytes]:
-    """Manifest and A2L files by their place in the archive."""
+    """Manifest and A2L files by their place in the archive; nothing where there is a
+    binary of which no addresses are known, as the standard wants them."""
     file = f"{program.name}.a2l"
     found: dict[str, str | bytes] = {
         f"{FOLDER}/fmi-ls-manifest.xml": _manifest(file),
         f"{FOLDER}/{file}": a2l_text(program),
     }
-    target = "(there is no binary)"
+    target = "TARGET"
     for place, content in binaries.items():
         symbols = symbols_of(content)
-        if symbols:
-            target = PurePosixPath(place).parent.name
-            found[f"{FOLDER}/{target}/{file}"] = a2l_text(program, symbols)
-    about = USE.format(folder=FOLDER, target=target)
+        if not symbols:
+            return {}
+        target = PurePosixPath(place).parent.name
+        found[f"{FOLDER}/{target}/{file}"] = a2l_text(program, symbols)
+    more = SOURCES + (LEARNING if learns else "")
+    about = USE.format(folder=FOLDER, target=f"{target}/{file}", sources=more)
     return found | {"documentation/fmi-ls-xcp.txt": about}
 
 
