@@ -29,8 +29,8 @@ from jaxnarx.solution import RESULTS, Solution
 
 EVERY = 3
 """Blocks grow to a third of the samples before them: the next moves are free, later
-ones go together. Powers of two leave a tenth to a half of the errors that this removes,
-and a block a sample fits the model's errors where the model is poor."""
+ones go together. Powers of two are too coarse for references that are known ahead, and
+a block a sample follows the model's errors where the model is poor."""
 
 
 @guard_arguments

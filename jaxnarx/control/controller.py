@@ -44,8 +44,8 @@ LINEAR, SQUARE = 100.0, 100.0
 DOMAIN_LINEAR, DOMAIN_SQUARE = 0.01, 1.0
 """Price of the domain's index beyond one, and of its square: low at its border, which
 references and other inputs cross now and then, and high far outside. As dear as limits
-of outputs it left errors up to twice as large; free, models whose errors grow outside
-steer there (`experiments/control/tracking.py`)."""
+of outputs it would decide wherever they cross; free, a model would steer where nothing
+bounds its errors."""
 ROUND_OFF = 0.01
 """Added to the square of the domain's index: at the middle it has no slope."""
 LEAST_CURVATURE = 1e-8

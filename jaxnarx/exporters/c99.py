@@ -263,7 +263,7 @@ def _source(program: SampleProgram) -> str:
 
 
 def parameter_line(program: SampleProgram, kind: str = "const") -> str:
-    """What tables of parameters are."""
+    """The line of the header that says of what kind tables of parameters are."""
     return f"#define {program.name.upper()}_PARAMETER {kind}"
 
 

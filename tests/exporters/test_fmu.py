@@ -624,6 +624,7 @@ def test_a_calibration_tool_writes_where_the_a2l_says(version, tmp_path):
     before = run(u, y)
     handle = ctypes.CDLL(str(tmp_path / f"fmi{version}" / "m.so"))
     memory = load_memory(program, tmp_path, version, handle)
+    assert memory is not None
     table = max(program.tables, key=lambda t: t.values.size)
     numbers = memory(f"m_{table.name}", table.values.size)
     numbers[:] = [2 * n for n in numbers]

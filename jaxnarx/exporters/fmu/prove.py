@@ -60,15 +60,15 @@ def _library(program: SampleProgram, folder: Path, version: int) -> Path:
 
 def load_memory(
     program: SampleProgram, folder: Path, version: int, handle: ctypes.CDLL
-) -> Callable[[str, int], Any]:
+) -> Callable[[str, int], Any] | None:
     """A function that finds as many numbers of a loaded binary as are asked for, by
-    what the A2L file calls them; nothing has a place where there are no addresses."""
+    what the A2L file calls them; None where there are no addresses."""
     place = place_of_binary(program.name, version)
     assert place is not None
     file = f"{FOLDER}/{Path(place).parent.name}/{program.name}.a2l"
     with zipfile.ZipFile(folder / archive_name(program, version)) as packed:
         if file not in packed.namelist():
-            return lambda name, count: None
+            return None
         addresses = addresses_in(packed.read(file).decode("iso-8859-1"))
     entry = f"fmi{version}GetVersion"
     where = ctypes.cast(getattr(handle, entry), ctypes.c_void_p).value
@@ -88,10 +88,12 @@ def _prove_addresses(
     u: np.ndarray,
     y: np.ndarray,
 ) -> dict[str, float]:
-    """What memory holds where the A2L file says so, behind a run that has ended with
-    inputs `u`, which may be missing, and outputs `y`; nothing where there are no
-    addresses."""
+    """Compare memory, where the A2L file says so, with the model's tables and with a
+    run that has ended: inputs `u`, which may be missing, and outputs `y`. Nothing is
+    compared where there are no addresses."""
     memory = load_memory(program, folder, version, handle)
+    if memory is None:
+        return {}
     wanted = {f"{program.name}_{t.name}": t.values for t in program.tables}
     for kind, ports, values in (
         ("in", program.inputs, u),
@@ -102,8 +104,6 @@ def _prove_addresses(
             wanted[f"{program.name}_{kind}_{word}"] = np.atleast_1d(value)
     for name, values in wanted.items():
         numbers = memory(name, values.size) if values.size else ()
-        if numbers is None:
-            return {}
         if not np.array_equal(numbers, values.ravel(), equal_nan=True):
             raise ExportError(f"FMU {version}.0: the address of {name} is wrong")
     return {f"fmu{version}, addresses of the A2L file": 0.0}
