@@ -35,9 +35,11 @@ COMPILED = Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
 COMPILED_MB = 2_000
 """What is kept for later runs is thrown away beyond this."""
 
-MAPS = 50_000
-"""Memory maps of a process beyond which compiled programs are let go. Every program
-takes a few, Linux allows 65,530, and jaxlib ends in a segmentation fault there."""
+MAPS = 30_000
+"""Memory maps of a process beyond which compiled programs are let go behind a file.
+Every program takes a few, Linux allows 65,530, and jaxlib ends in a segmentation fault
+there; the package lets them go at 39,000, which in the middle of a file would count its
+programs twice."""
 
 
 def pytest_addoption(parser):
