@@ -186,20 +186,9 @@ class Bench:
         """Cubic terms, refined, or what the search finds."""
         if self.models == "identify":
             return jnx.identify(self.train, preset="quick").value
-        pool = jnx.polynomial_pool(
-            self.train.channels,
-            input_lags=inverse_models.DEEP,
-            output_lags=(1, 2),
-            degree=3,
+        return inverse_models.forward_of(
+            self.train[:-1], self.train[-1:], lags=inverse_models.DEEP
         )
-        method = jnx.ForwardOLS(max_terms=inverse_models.FORWARD_TERMS)
-        terms = jnx.select(pool, self.train, method).value
-        start = jnx.grow(terms, self.train, jnx.Global()).value
-        guard = self.train[-1:]
-        found = jnx.refine(
-            start, self.train[:-1], inverse_models.FORWARD_STEPS, validation=guard
-        )
-        return found.value
 
     def errors(self) -> dict[str, float]:
         """NRMSE of the free run over the record left out."""

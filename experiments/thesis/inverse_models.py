@@ -1,6 +1,6 @@
 """The forward network and the inverses of `chapter7_inverse.py`, and their scores."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -28,12 +28,16 @@ INVERSE_STEPS = jnx.SimulationError(
 
 
 def forward_of(
-    train: jnx.Dataset, guard: jnx.Dataset, *, brief: bool = False
+    train: jnx.Dataset,
+    guard: jnx.Dataset,
+    *,
+    lags: Sequence[int] | Mapping[str, Sequence[int]] = FORWARD_LAGS,
+    brief: bool = False,
 ) -> jnx.Network:
-    """Torque, lambda and manifold pressure by cubic terms of ERR, refined."""
+    """All outputs by cubic terms of ERR in these lags of the inputs, refined."""
     pool = jnx.polynomial_pool(
         train.channels,
-        input_lags=FORWARD_LAGS,
+        input_lags=lags,
         output_lags=(1, 2),
         degree=2 if brief else 3,
     )

@@ -21,7 +21,13 @@ from jaxnarx.control.observer import (
 )
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.models import Network, require_computed, state_sizes, state_space
+from jaxnarx.models import (
+    Network,
+    carried,
+    require_computed,
+    state_sizes,
+    state_space,
+)
 from jaxnarx.regressors import LowPass
 from jaxnarx.settings import Command, OutputLimit
 from jaxnarx.simulation import match_records, simulate, tables
@@ -239,7 +245,7 @@ def _statistics(
 ) -> ErrorStatistics:
     """Pole and variances of the free run's errors, for the observer."""
     kind = network.gain.dtype
-    states = (STATE_NOISE * np.asarray(state_sizes(network))) ** 2
+    states = (STATE_NOISE * np.asarray(state_sizes(network))[carried(network)]) ** 2
     if records is None:
         pole = np.full(len(size), UNKNOWN_POLE)
         noise, steps = (UNKNOWN_NOISE * size) ** 2, (UNKNOWN_STEPS * size) ** 2

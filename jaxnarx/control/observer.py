@@ -5,10 +5,12 @@
 
 by an extended Kalman filter over (x, b, e), or over b and e alone where the state
 follows from the commands (R. E. Kalman 1960; A. H. Jazwinski, Stochastic Processes and
-Filtering Theory, 1970, theorem 8.1). The offset b has no pull to zero, so that a
-controller that aims at h + b + e leaves none: K. R. Muske, T. A. Badgwell, J. Process
-Control 12, 2002, 617-632; G. Pannocchia, J. B. Rawlings, AIChE J. 49, 2003, 426-437.
-What comes and goes, as errors of a model do, is e, and expected to fade with its pole.
+Filtering Theory, 1970, theorem 8.1). Of x it moves what the recursion carries: delayed
+inputs and the states of their filters are known. The offset b has no pull to zero, so
+that a controller that aims at h + b + e leaves none: K. R. Muske, T. A. Badgwell, J.
+Process Control 12, 2002, 617-632; G. Pannocchia, J. B. Rawlings, AIChE J. 49, 2003,
+426-437. What comes and goes, as errors of a model do, is e, and expected to fade with
+its pole.
 
 Pole and variances come from the error of the free run over records: with its
 autocovariances c0, c1, c2 the pole p is c2/c1, the variance of e is c1^2/c2, and what
@@ -23,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxnarx.models import Network, StateForm
+from jaxnarx.models import Network, StateForm, carried
 
 LEAST_NOISE = 1e-3
 """Standard deviation of the noise, at least, as a share of an output's size."""
@@ -41,18 +43,19 @@ NOT_MEASURED = 1e12
 
 class ErrorStatistics(eqx.Module):
     """Pole of the errors that fade, and variances a sample of the noise, of the steps
-    of errors and offsets, and of the states; in the units of outputs and states."""
+    of errors and offsets, and of the states that the recursion carries; in the units of
+    outputs and states."""
 
     pole: Float[Array, " outputs"]
     noise: Float[Array, " outputs"]
     steps: Float[Array, " outputs"]
     offset: Float[Array, " outputs"]
-    states: Float[Array, " states"]
+    states: Float[Array, " carried"]
 
 
 class Estimate(NamedTuple):
-    """State, offsets and fading errors before a sample, and the covariance of all, or
-    of offsets and errors alone."""
+    """State, offsets and fading errors before a sample, and the covariance of what the
+    recursion carries, offsets and errors, or of the last two alone."""
 
     x: Float[Array, " states"]
     offset: Float[Array, " outputs"]
@@ -98,7 +101,8 @@ def correct(
     outputs = offset.shape[0]
     form = StateForm(network)
     own = jnp.eye(outputs, dtype=offset.dtype)
-    slopes = [form.jacobians(x, u)[2]] if states else []
+    at = np.flatnonzero(carried(network))
+    slopes = [form.jacobians(x, u)[2][:, at]] if states else []
     c = jnp.concatenate([*slopes, own, own], axis=1)
     there = jnp.isfinite(measured)
     noise = statistics.noise * jnp.where(there, 1.0, NOT_MEASURED)
@@ -109,7 +113,7 @@ def correct(
     # Joseph's form: it stays symmetric and positive.
     left = jnp.eye(cov.shape[0], dtype=cov.dtype) - gain @ c
     cov = left @ cov @ left.T + (gain * noise[None]) @ gain.T
-    x = x + move[: -2 * outputs] if states else x
+    x = x.at[at].add(move[: -2 * outputs]) if states else x
     moved = move[-2 * outputs :].reshape(2, outputs)
     return Estimate(x, offset + moved[0], fading + moved[1], cov)
 
@@ -128,7 +132,8 @@ def advance_estimate(
     keeps = jnp.concatenate([jnp.ones_like(statistics.pole), statistics.pole])
     steps = [statistics.offset, statistics.steps]
     if states:
-        a = form.jacobians(x, u)[0]
+        at = np.flatnonzero(carried(network))
+        a = form.jacobians(x, u)[0][np.ix_(at, at)]
         moves = jax.scipy.linalg.block_diag(a, jnp.diag(keeps))
         steps = [statistics.states, *steps]
         cov = moves @ cov @ moves.T

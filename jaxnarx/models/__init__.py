@@ -83,6 +83,7 @@ from jaxnarx.models.scheduling import scaled_points as scaled_points
 from jaxnarx.models.scheduling import scheduling_values as scheduling_values
 from jaxnarx.models.scheduling import weights_at as weights_at
 from jaxnarx.models.signed_root import SignedRoot as SignedRoot
+from jaxnarx.models.state import carried as carried
 from jaxnarx.models.state import driving_signals as driving_signals
 from jaxnarx.models.state import require_computed as require_computed
 from jaxnarx.models.state import state_sizes as state_sizes

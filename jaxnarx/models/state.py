@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxnarx.errors import SpecError
 from jaxnarx.models.feedback import advance, depth, sources, widen
@@ -286,6 +286,15 @@ def state_sizes(network: Network) -> Float[Array, " states"]:
     ]
     wide = jnp.abs(ends[1] - ends[0]) / 2
     return jnp.where(wide > 0, wide, 1.0)
+
+
+def carried(network: Network) -> Bool[np.ndarray, " states"]:
+    """Which entries of the state the recursion carries: past outputs, hidden channels
+    and feedback of local models. All others follow from the inputs."""
+    size, over = len(state_names(network)), int(has_overshoot(network))
+    own = len(sources(network)) * depth(network)
+    at = np.arange(size)
+    return (at >= size - over - own) & (at < size - over)
 
 
 def join_state(past: Past) -> Float[Array, " states"]:
