@@ -186,9 +186,9 @@ class Bench:
         """Cubic terms, refined, or what the search finds."""
         if self.models == "identify":
             return jnx.identify(self.train, preset="quick").value
-        return inverse_models.forward_of(
-            self.train[:-1], self.train[-1:], lags=inverse_models.DEEP
-        )
+        train, guard = self.train[:-1], self.train[-1:]
+        own: dict[str, Any] = {"lags": inverse_models.DEEP, "every": self.train}
+        return inverse_models.forward_of(train, guard, **own)
 
     def errors(self) -> dict[str, float]:
         """NRMSE of the free run over the record left out."""

@@ -32,9 +32,12 @@ def forward_of(
     guard: jnx.Dataset,
     *,
     lags: Sequence[int] | Mapping[str, Sequence[int]] = FORWARD_LAGS,
+    every: jnx.Dataset | None = None,
     brief: bool = False,
 ) -> jnx.Network:
-    """All outputs by cubic terms of ERR in these lags of the inputs, refined."""
+    """All outputs by cubic terms of ERR in these lags of the inputs, refined; the terms
+    are those of `train`, or of `every` record."""
+    chosen_by = train if every is None else every
     pool = jnx.polynomial_pool(
         train.channels,
         input_lags=lags,
@@ -42,8 +45,8 @@ def forward_of(
         degree=2 if brief else 3,
     )
     method = jnx.ForwardOLS(max_terms=15 if brief else FORWARD_TERMS)
-    terms = jnx.select(pool, train, method).value
-    start = jnx.grow(terms, train, jnx.Global()).value
+    terms = jnx.select(pool, chosen_by, method).value
+    start = jnx.grow(terms, chosen_by, jnx.Global()).value
     if brief:
         return start
     return jnx.refine(start, train, FORWARD_STEPS, validation=guard).value

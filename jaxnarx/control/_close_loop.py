@@ -16,6 +16,7 @@ from jaxnarx.control.controller import Controller
 from jaxnarx.control.result import ControlledRun
 from jaxnarx.data import Dataset, Record
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.formatting import count
 from jaxnarx.solution import RESULTS, Solution
 
 Arrays = Array | np.ndarray
@@ -121,8 +122,8 @@ def run_loop(
     inputs: tuple[int, ...],
 ) -> tuple[Array, ...]:
     """Commands, outputs, measurements, disturbances, and whether each program was
-    solved, of one record; pure. `outputs` and `inputs` are the places of the network's
-    outputs and of the commands in the plant."""
+    solved and the network's run begun anew, of one record; pure. `outputs` and `inputs`
+    are the places of the network's outputs and of the commands in the plant."""
     time, ahead = rows.reference.shape[0], jnp.arange(controller.horizon)
     columns, set_ = np.array(outputs), np.array(inputs)
 
@@ -142,8 +143,9 @@ def run_loop(
         now, decision = controller.step(now, measured, wanted, look(rows.given, t, 0))
         state, y = plant.step(state, whole(t, decision.commands))
         y = y[columns]
-        told = decision.commands, y, measured, decision.disturbance, decision.solved
-        return (state, now, decision.commands), told
+        told = decision.commands, y, measured, decision.disturbance
+        flags = decision.solved, decision.restarted
+        return (state, now, decision.commands), (*told, *flags)
 
     at_rest = whole(0, first)
     state, y = plant.begin(at_rest)
@@ -237,7 +239,7 @@ def _summarise(
     floor, ceiling = np.full(outputs, -np.inf), np.full(outputs, np.inf)
     floor[list(controller.bounded)] = np.asarray(controller.floor)
     ceiling[list(controller.bounded)] = np.asarray(controller.ceiling)
-    commands, y, measured, disturbances, solved = zip(*tracks, strict=True)
+    commands, y, measured, disturbances, *flags = zip(*tracks, strict=True)
     wanted = []
     for record in references:
         columns = [references.channels.names.index(n) for n in controller.target_names]
@@ -253,7 +255,8 @@ def _summarise(
         measured=measured,
         references=tuple(wanted),
         disturbances=disturbances,
-        solved=solved,
+        solved=flags[0],
+        restarted=flags[1],
         low=np.asarray(controller.low),
         high=np.asarray(controller.high),
         move=np.asarray(controller.move),
@@ -276,4 +279,10 @@ def _describe(value: ControlledRun) -> str:
     failed = sum(int((~s).sum()) for s in value.solved)
     if failed:
         told.append(f"in {failed} samples the plan of before went on: no solution")
+    lost = sum(int(r.sum()) for r in value.restarted)
+    if lost:
+        told.append(
+            f"the network's run came to its bounds {count(lost, 'time')} and began "
+            "anew from what was measured: look at its free run"
+        )
     return "; ".join(told)

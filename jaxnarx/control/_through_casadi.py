@@ -59,7 +59,7 @@ def through_casadi(
 
     Beside a controller of `jnx.control.mpc` it tells what one step of sequential
     quadratic programming a sample loses, at ten times the time or so. The border of the
-    network's domain is not handed over.
+    network's domain is not handed over, and a run at its bounds does not begin anew.
 
     Args:
         controller: What is to be solved; made with `observe_states=False`.
@@ -236,4 +236,4 @@ def _decide(
     solved: Any,
     given: Float[Array, "horizon given"],
 ) -> tuple[ControlState, Decision]:
-    return decide(controller, state, now, plan, excess, jnp.asarray(solved), given)
+    return decide(controller, state, now, plan, excess, (solved, False), given)

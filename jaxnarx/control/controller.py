@@ -33,6 +33,7 @@ from jaxnarx.control.observer import (
     begin_estimate,
     correct,
     expected_errors,
+    recover,
 )
 from jaxnarx.control.quadratic_program import TOLERANCE, solve_quadratic
 from jaxnarx.models import Domain, Network, driving_signals
@@ -73,7 +74,8 @@ class Decision(NamedTuple):
     `commands` are to be set, `outputs` what is expected over the horizon, `excess`
     by how much each limit is expected to give way at most, in the output's unit,
     `disturbance` what the observer adds to the network's outputs. Where the program
-    could not be solved (`solved`), the plan of before goes on.
+    could not be solved (`solved`), the plan of before goes on. Where the network's run
+    had come to its bounds it began anew from what was measured (`restarted`).
     """
 
     commands: Float[Array, " commands"]
@@ -81,6 +83,7 @@ class Decision(NamedTuple):
     excess: Float[Array, " limits"]
     disturbance: Float[Array, " outputs"]
     solved: Bool[Array, ""]
+    restarted: Bool[Array, ""]
 
 
 class Controller(eqx.Module):
@@ -245,7 +248,8 @@ def _step(
 ) -> tuple[ControlState, Decision]:
     network, known = controller.network, controller.statistics
     how = {"states": controller.observe_states}
-    now = correct(network, known, state.estimate, state.u, measured, **how)
+    now, lost = recover(network, known, state.estimate, state.u, measured, **how)
+    now = correct(network, known, now, state.u, measured, **how)
     before = state.u[np.array(controller.commands, int)]
     plan, excess, solved = state.plan, jnp.zeros_like(controller.floor), True
     for _ in range(controller.rounds):
@@ -253,7 +257,7 @@ def _step(
             controller, now, state.slow, before, plan, reference, given
         )
         solved = good & solved
-    return decide(controller, state, now, plan, excess, jnp.asarray(solved), given)
+    return decide(controller, state, now, plan, excess, (solved, lost), given)
 
 
 def decide(
@@ -262,10 +266,11 @@ def decide(
     now: Estimate,
     plan: Float[Array, "horizon commands"],
     excess: Float[Array, " limits"],
-    solved: Bool[Array, ""],
+    flags: tuple[Bool[Array, ""] | bool, Bool[Array, ""] | bool],
     given: Float[Array, "horizon given"],
 ) -> tuple[ControlState, Decision]:
-    """The next state and the decision, once there is a plan."""
+    """The next state and the decision, once there is a plan; `flags` tell whether the
+    program was solved and the network's run begun anew."""
     network, known = controller.network, controller.statistics
     how = {"states": controller.observe_states}
     commands = plan[0]
@@ -276,12 +281,14 @@ def decide(
     slow = state.slow
     if controller.fade is not None:
         slow = controller.fade * slow + (1 - controller.fade) * u[_used(controller)]
+    solved, restarted = (jnp.asarray(flag) for flag in flags)
     decision = Decision(
         commands,
         y,
         excess,
         now.offset + now.fading,
         solved & jnp.isfinite(y).all(),
+        restarted,
     )
     return ControlState(after, u, shifted, slow), decision
 

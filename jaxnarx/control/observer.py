@@ -23,9 +23,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from jaxnarx.models import Network, StateForm, carried
+from jaxnarx.models import Network, StateForm, carried, remember_outputs, sources
 
 LEAST_NOISE = 1e-3
 """Standard deviation of the noise, at least, as a share of an output's size."""
@@ -76,6 +76,34 @@ def begin_estimate(
     known += [statistics.offset, statistics.steps]
     cov = jnp.diag(jnp.concatenate(known))
     return Estimate(x, error, jnp.zeros_like(error), cov)
+
+
+def recover(
+    network: Network,
+    statistics: ErrorStatistics,
+    before: Estimate,
+    u: Float[Array, " driving"],
+    measured: Float[Array, " outputs"],
+    *,
+    states: bool,
+) -> tuple[Estimate, Bool[Array, ""]]:
+    """The estimate, begun anew after outputs as they have been measured where the run
+    of a network stands at its bounds; and whether it does.
+
+    No correction leads back from there, for nothing depends on the state. An estimate
+    goes on where the network carries more than past outputs, or where an output was not
+    measured.
+    """
+    if len(sources(network)) != len(network.modelled) or not carried(network).any():
+        return before, jnp.zeros((), bool)
+    y = StateForm(network).h(before.x, u)
+    gain = network.gain[np.array(network.signals)]
+    at_bound = (y <= network.lower * gain) | (y >= network.upper * gain)
+    lost = jnp.any(at_bound) & jnp.isfinite(measured).all()
+    x = remember_outputs(network, before.x, measured)
+    anew = begin_estimate(statistics, x, jnp.zeros_like(y), states=states)
+    found = jax.tree.map(lambda a, b: jnp.where(lost, a, b), anew, before)
+    return found, lost
 
 
 def expected_errors(

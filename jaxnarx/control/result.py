@@ -23,7 +23,8 @@ class ControlledRun:
     the observer has added to the network's outputs. `floor` and `ceiling` are limits
     of the outputs, infinite where there is none, `low` and `high` bounds of the
     commands, `move` their largest change a sample. `solved` marks samples whose
-    quadratic program was solved.
+    quadratic program was solved, `restarted` those at which the network's run had come
+    to its bounds and began anew from what was measured.
     """
 
     command_channels: tuple[Channel, ...]
@@ -37,6 +38,7 @@ class ControlledRun:
     references: tuple[Float[np.ndarray, "time targets"], ...]
     disturbances: tuple[Float[np.ndarray, "time outputs"], ...]
     solved: tuple[Bool[np.ndarray, " time"], ...]
+    restarted: tuple[Bool[np.ndarray, " time"], ...]
     low: Float[np.ndarray, " commands"]
     high: Float[np.ndarray, " commands"]
     move: Float[np.ndarray, " commands"]

@@ -85,6 +85,8 @@ from jaxnarx.models.scheduling import weights_at as weights_at
 from jaxnarx.models.signed_root import SignedRoot as SignedRoot
 from jaxnarx.models.state import carried as carried
 from jaxnarx.models.state import driving_signals as driving_signals
+from jaxnarx.models.state import filter_poles as filter_poles
+from jaxnarx.models.state import remember_outputs as remember_outputs
 from jaxnarx.models.state import require_computed as require_computed
 from jaxnarx.models.state import state_sizes as state_sizes
 from jaxnarx.models.state_form import StateForm as StateForm

@@ -104,6 +104,11 @@ def discrete_filters(network: Network) -> list[FilterSystem]:
     return [system_of(row, jnp.asarray(network.sample_time)) for row in every]
 
 
+def filter_poles(network: Network) -> list[complex]:
+    """Poles [1/s] of the filters that a network's inputs pass."""
+    return [pole for _, f, _ in memory(network).filtered for pole in f.sections]
+
+
 def _moves(filter_: AbstractFilter) -> np.ndarray:
     """Places of the states that move: the second one of a real pole rests."""
     places = [
@@ -295,6 +300,14 @@ def carried(network: Network) -> Bool[np.ndarray, " states"]:
     own = len(sources(network)) * depth(network)
     at = np.arange(size)
     return (at >= size - over - own) & (at < size - over)
+
+
+def remember_outputs(
+    network: Network, x: Float[Array, " states"], y: Float[Array, " outputs"]
+) -> Float[Array, " states"]:
+    """The state after outputs that have been constant, under inputs as they were; of a
+    network that carries nothing else."""
+    return x.at[np.flatnonzero(carried(network))].set(jnp.repeat(y, depth(network)))
 
 
 def join_state(past: Past) -> Float[Array, " states"]:

@@ -120,6 +120,25 @@ def test_the_observer_is_a_kalman_filter():
     np.testing.assert_allclose(after.covariance, p + np.diag(steps), atol=1e-8)
 
 
+@pytest.mark.parametrize("states", [True, False])
+def test_a_run_at_its_bounds_begins_anew(states):
+    """Nothing depends on such a state: an observer alone calls all of it an offset."""
+    controller = linear_controller(observe_states=states)
+    state = controller.begin([0.2, -0.1], [0.1, 0.1])
+    near, decision = controller.step(state, [0.1, 0.1], [0.1], [-0.1])
+    assert not decision.restarted
+    far = state.estimate.x.at[2:].set(1e3)
+    lost = state._replace(estimate=state.estimate._replace(x=far))
+    for measured, restarted in (([0.1, 0.1], True), ([0.1, np.nan], False)):
+        now, decision = controller.step(lost, measured, [0.1], [-0.1])
+        assert bool(decision.restarted) == restarted
+        if restarted:
+            assert np.abs(decision.disturbance).max() < 0.1
+            assert np.abs(now.estimate.x).max() < 1.0
+            _, decision = controller.step(now, measured, [0.1], [-0.1])
+            assert not decision.restarted
+
+
 def test_errors_are_split_into_noise_and_what_fades():
     random = np.random.default_rng(0)
     slow = np.zeros(40_000)
