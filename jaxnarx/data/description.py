@@ -32,7 +32,7 @@ class Description:
     out together in cross-validation, `at_rest` patterns of files whose rows are
     operating points, measured when all had settled. `preparation` is a file, relative
     to the root, that tells how the files were made from raw ones. `physics` has the
-    signs of gains by output.
+    signs of gains and the longest time constants by output.
     """
 
     channels: Channels
@@ -277,7 +277,7 @@ def _groups(value: Any) -> dict[str, tuple[str, ...]]:
 
 
 def _physics(value: Any, channels: Channels) -> dict[str, Physics]:
-    """Signs of gains by output."""
+    """What is known of gains and time constants, by output."""
     table = _require_type(value, dict, "physics")
     found = {}
     for name, own in table.items():

@@ -34,7 +34,7 @@ class Split:
     """The parts of a description; a part that it does not name is None.
 
     `preparation` is what was done to the files before, if the description says so;
-    `physics` are the signs of gains that it states, by output; every sample of
+    `physics` is what it states of gains and time constants, by output; every sample of
     `at_rest` is an operating point.
     """
 

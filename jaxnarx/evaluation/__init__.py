@@ -44,12 +44,16 @@ from jaxnarx.evaluation.comparison import ModelComparison as ModelComparison
 from jaxnarx.evaluation.comparison import compare as compare
 from jaxnarx.evaluation.domain_errors import INDEX_EDGES as INDEX_EDGES
 from jaxnarx.evaluation.gain_signs import GainFinding as GainFinding
-from jaxnarx.evaluation.gain_signs import WrongSigns as WrongSigns
 from jaxnarx.evaluation.gain_signs import check_gains as check_gains
-from jaxnarx.evaluation.gain_signs import count_wrong_signs as count_wrong_signs
 from jaxnarx.evaluation.local_models import LocalBehaviour as LocalBehaviour
 from jaxnarx.evaluation.local_models import local_behaviour as local_behaviour
 from jaxnarx.evaluation.page_records import ShownRecord as ShownRecord
+from jaxnarx.evaluation.physics_checks import WrongSigns as WrongSigns
+from jaxnarx.evaluation.physics_checks import count_wrong_signs as count_wrong_signs
+from jaxnarx.evaluation.physics_checks import is_slower as is_slower
+from jaxnarx.evaluation.physics_checks import (
+    longest_time_constants as longest_time_constants,
+)
 from jaxnarx.evaluation.regions import describe_partition as describe_partition
 from jaxnarx.evaluation.reporting import report as report
 from jaxnarx.evaluation.residual_tests import Diagnostics as Diagnostics
@@ -126,6 +130,7 @@ __all__ = [
     "intersections",
     "judge",
     "local_behaviour",
+    "longest_time_constants",
     "metrics",
     "pareto",
     "reactivation",

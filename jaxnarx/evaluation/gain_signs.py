@@ -8,8 +8,7 @@ output far: whether the engine does that is the user's to say.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,11 +17,9 @@ from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._steady_states import operating_point, steady_states
-from jaxnarx.evaluation.section import Section
-from jaxnarx.formatting import count, list_names, page
-from jaxnarx.models import Network, ranges
-from jaxnarx.partition import INPUT_STEP_SHARE, make_pairs
-from jaxnarx.settings import Physics, require_physics
+from jaxnarx.formatting import page
+from jaxnarx.models import Network
+from jaxnarx.partition import INPUT_STEP_SHARE
 from jaxnarx.simulation import match_records
 
 MAX_REST_RUNS = 160
@@ -79,15 +76,6 @@ class GainFinding:
     _repr_html_ = page
 
 
-class WrongSigns(NamedTuple):
-    """Gains of one output whose sign physics asks."""
-
-    wrong: int
-    """Those with the other sign."""
-    known: int
-    """All, where the network comes to rest."""
-
-
 @guard_arguments
 def check_gains(network: Network, data: Dataset) -> tuple[GainFinding, ...]:
     """Inputs whose steady-state gain changes sign over the domain, or jumps.
@@ -140,99 +128,6 @@ def outputs_at_rest(
     if found.index is None:
         return found.value
     return np.where((found.index <= 1)[:, None], found.value, np.nan)
-
-
-@guard_arguments
-def count_wrong_signs(
-    network: Network,
-    data: Dataset,
-    physics: Mapping[str, Physics],
-    *,
-    points: int = MOST_POINTS,
-) -> dict[str, WrongSigns]:
-    """Count gains at rest that have another sign than physics asks.
-
-    Args:
-        network: The model.
-        data: Records; operating points are their samples, spread evenly.
-        physics: Signs by output; outputs that the network does not model are left out.
-        points: Operating points at which every gain is looked at.
-
-    Returns:
-        The numbers of wrong and of known gains by output, over inputs that move in
-        these records. A gain is wrong where the
-        output moves the other way by more than `FLAT_RANGE_SHARE` of its trained range
-        for the whole range of the input; it is known where the network comes to rest
-        on both sides of the point.
-
-    Example:
-        known = {"y": jnx.identification.Physics(increases_with=["a"])}
-        print(jnx.evaluation.count_wrong_signs(network, data, known))
-    """
-    require_physics(physics, data.channels.input_names, data.channels.output_names)
-    data = match_records(network, data)
-    wide = np.asarray(network.high - network.low, float)
-    wide = np.where(wide > 0, wide, 1.0)
-    out = {}
-    for o, name in enumerate(network.output_names):
-        if name not in physics:
-            continue
-        asked = _asked_here(data, physics[name])
-        if asked is None:
-            out[name] = WrongSigns(0, 0)
-            continue
-        pairs = make_pairs(data, asked, output=name, points=points)
-        both = np.concatenate([pairs.low, pairs.high])
-        ends = outputs_at_rest(network, data, both)[:, o].reshape(2, -1)
-        rise = (ends[1] - ends[0]) / wide[network.signals[o]]
-        inputs = wide[: both.shape[1]]
-        step = np.abs((pairs.high - pairs.low) / inputs).sum(axis=1)
-        known = np.isfinite(rise)
-        wrong = known & (rise < -FLAT_RANGE_SHARE * step)
-        out[name] = WrongSigns(int(wrong.sum()), int(known.sum()))
-    return out
-
-
-def section_of_signs(
-    network: Network, data: Dataset, physics: Mapping[str, Physics]
-) -> Section | None:
-    """The signs that physics asks of a network's gains at rest, and how many of the
-    gains are wrong; None where nothing is asked of its outputs."""
-    found = count_wrong_signs(network, data, physics)
-    if not found:
-        return None
-    rows = tuple(
-        (name, str(physics[name]), one.wrong, one.known) for name, one in found.items()
-    )
-    told = [
-        f"{one.wrong} of {count(one.known, 'gain')} of {name} at rest have another "
-        "sign than physics asks."
-        for name, one in found.items()
-        if one.wrong
-    ]
-    unknown = [name for name, one in found.items() if not one.known]
-    if unknown:
-        told.append(
-            f"Of {list_names(unknown)} no gain is known here: nothing that is asked "
-            "moves in these records, or the model does not come to rest."
-        )
-    if not told:
-        told = ["All gains at rest have the signs that physics asks."]
-    wrong = tuple((n, 2) for n, row in enumerate(rows) if row[2])
-    header = "output", "asked", "wrong gains", "known gains"
-    return Section("Signs of gains", tuple(told), header, rows, marked=wrong)
-
-
-def _asked_here(data: Dataset, physics: Physics) -> Physics | None:
-    """The signs by inputs that move in these records, if there are any."""
-    low, high = ranges(data)
-    names = data.channels.input_names
-    moving = {n for s, n in enumerate(names) if high[s] > low[s]}
-    rising, falling = (
-        [name for name in names if name in moving]
-        for names in (physics.increases_with, physics.decreases_with)
-    )
-    return Physics(rising, falling) if rising or falling else None
 
 
 def _moved_inputs(network: Network) -> list[int]:

@@ -29,9 +29,9 @@ from jaxnarx.evaluation.extrapolation import find_outside, held_notes, range_not
 from jaxnarx.evaluation.gain_signs import (
     GainFinding,
     check_gains,
-    section_of_signs,
 )
 from jaxnarx.evaluation.page_records import ShownRecord, shown_records
+from jaxnarx.evaluation.physics_checks import section_of_physics
 from jaxnarx.evaluation.regions import describe_partition
 from jaxnarx.evaluation.remarks import (
     assess,
@@ -124,8 +124,8 @@ def report(
             the two that schedule most of each output.
         within: Tolerance of the free-run error in the unit of the outputs; the report
             tells the share of the samples that keep it.
-        physics: Signs of gains at rest by output: the report counts the wrong ones over
-            the main part.
+        physics: What is known by output: the report counts gains at rest with another
+            sign over the main part, and tells time constants that are too long.
         provenance: Text that is stored beside the versions and data hashes.
 
     Returns:
@@ -322,10 +322,10 @@ def _diagnostics(
 def _signs(
     network: Any, data: Dataset, physics: Mapping[str, Physics] | None
 ) -> dict[str, Section]:
-    """The section of the signs that are asked, where there are any."""
+    """The section of what physics asks, where it does."""
     if not physics or not isinstance(network, Network):
         return {}
-    section = section_of_signs(network, data, physics)
+    section = section_of_physics(network, data, physics)
     return {} if section is None else {"physics": section}
 
 

@@ -5,16 +5,26 @@ import functools
 import itertools
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.errors import JaxnarxError, SpecError
-from jaxnarx.evaluation import cost, count_wrong_signs
+from jaxnarx.evaluation import (
+    cost,
+    count_wrong_signs,
+    is_slower,
+    longest_time_constants,
+)
 from jaxnarx.extensions import Registry
 from jaxnarx.identification.cross_validate import CrossValidation, cross_validate
-from jaxnarx.identification.leaderboard import WRONG_SIGN, Candidate, Leaderboard
+from jaxnarx.identification.leaderboard import (
+    AGAINST_PHYSICS,
+    Candidate,
+    Leaderboard,
+)
 from jaxnarx.identification.narx_candidates import propose_narx
 from jaxnarx.identification.nested import (
     Remake,
@@ -127,7 +137,7 @@ class CandidateSearch:
     ):
         """`known` are candidates that need not be tried again; `late` tells that the
         time is up; `added` and `partitions` are those of other packages; `watch` hears
-        what is tried; `physics` has the signs of gains that every candidate keeps;
+        what is tried; `physics` is what every candidate keeps to;
         `at_rest` are operating points that candidates in closed form are trained on."""
         self.added, self.partitions = dict(added or {}), dict(partitions or {})
         self.data, self.profile = data, profile
@@ -135,9 +145,12 @@ class CandidateSearch:
         self.known = {(row.family, row.name): row for row in known}
         self.late, self.passed, self.spread = late, 0, 1.0
         self.watch, self.physics, self.at_rest = watch, physics, at_rest
-        self.pairs = None
+        self.kept: dict[str, Any] = {"pairs": None, "longest": None}
+        """What physics asks, as keywords of `ClosedSearch`."""
         if physics is not None:
-            self.pairs = make_pairs(data, physics, output=profile.output)
+            self.kept["longest"] = physics.longest_time_constant
+            if physics.signs:
+                self.kept["pairs"] = make_pairs(data, physics, output=profile.output)
         self.best: np.ndarray | None = None
         self.parts: dict[str, Summand] = {}
         """The best of every kind, as a part of a sum."""
@@ -234,7 +247,7 @@ class CandidateSearch:
 
     def _closed_search(self, root: bool) -> ClosedSearch:
         own = self.data, self.profile, self.groups
-        return ClosedSearch(*own, root=root, pairs=self.pairs, at_rest=self.at_rest)
+        return ClosedSearch(*own, root=root, at_rest=self.at_rest, **self.kept)
 
     def _closed_forms(self, *, root: bool = False) -> Iterator[Tried]:
         """Candidates in closed form, of the output or of its root."""
@@ -262,7 +275,7 @@ class CandidateSearch:
                     found.family,
                     found.structure,
                     self.partitions,
-                    {"root": root, "pairs": self.pairs, "at_rest": self.at_rest},
+                    {"root": root, "at_rest": self.at_rest, **self.kept},
                 )
                 if found.structure.models > 1:
                     self.divided[row.family, row.name] = row, found.structure
@@ -529,8 +542,8 @@ class CandidateSearch:
             return dataclasses.replace(row, status="diverged"), None
         if not found.complete:
             return row, None
-        if told := self._wrong_signs(found.network):
-            return dataclasses.replace(row, status=WRONG_SIGN, detail=told), None
+        if told := self._contradiction(found.network):
+            return dataclasses.replace(row, status=AGAINST_PHYSICS, detail=told), None
         self._remember(found.losses)
         total = float(np.nansum(found.losses * found.counts) / found.counts.sum())
         row = dataclasses.replace(
@@ -541,19 +554,27 @@ class CandidateSearch:
         )
         return _add_standard_error(row, found.losses), found.network
 
-    def _wrong_signs(self, network: Network | None) -> str:
+    def _contradiction(self, network: Network | None) -> str:
         """What a trained network has against physics, in words; nothing if all is
         well."""
         output, physics = self.profile.output, self.physics
         if physics is None or network is None:
             return ""
-        found = count_wrong_signs(network, self.data, {output: physics})[output]
-        if not found.known:
-            return f"it comes to rest nowhere, and {output} {physics} by physics"
-        if not found.wrong:
+        asked = f"{output} {physics} by physics"
+        if physics.signs:
+            found = count_wrong_signs(network, self.data, {output: physics})[output]
+            if not found.known:
+                return f"it comes to rest nowhere, and {asked}"
+            if found.wrong:
+                share = f"{found.wrong} of {found.known} gains at rest"
+                return f"{share} have the wrong sign: {asked}"
+        if physics.longest_time_constant is None:
             return ""
-        share = f"{found.wrong} of {found.known} gains at rest"
-        return f"{share} have the wrong sign: {output} {physics} by physics"
+        slow = longest_time_constants(network, self.data)[output]
+        if np.isnan(slow):
+            return f"it comes to rest nowhere, and {asked}"
+        late = is_slower(slow, physics)
+        return f"a time constant is {slow:.3g} s: {asked}" if late else ""
 
     def _row(
         self,

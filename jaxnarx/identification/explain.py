@@ -5,8 +5,8 @@ from typing import Any
 
 from jaxnarx.formatting import ratio_text
 from jaxnarx.identification.leaderboard import (
+    AGAINST_PHYSICS,
     LEAST_ERROR,
-    WRONG_SIGN,
     Candidate,
     Leaderboard,
 )
@@ -266,11 +266,11 @@ def _explain_vetoes(board: Leaderboard, output: str) -> list[str]:
 
 def _explain_signs(board: Leaderboard, output: str) -> list[str]:
     rows = board.of(output)
-    lost = sum(r.status == WRONG_SIGN for r in rows)
+    lost = sum(r.status == AGAINST_PHYSICS for r in rows)
     if not lost:
         return []
-    has = "has" if lost == 1 else "have"
-    return [f"{lost} of {len(rows)} candidates {has} gains against physics: vetoed."]
+    does = "contradicts" if lost == 1 else "contradict"
+    return [f"{lost} of {len(rows)} candidates {does} physics: vetoed."]
 
 
 def _groups(board: Leaderboard, row: Candidate) -> list[str]:

@@ -24,7 +24,7 @@ EQUAL_ERROR_SHARE = 0.05
 """Share of the error that a cheaper model may give away."""
 DOMINANT_SHARE, DOMINANT_GROUPS = 0.5, 3
 """Share of the loss from which one group decides alone, where there are so many."""
-WRONG_SIGN = "wrong sign"
+AGAINST_PHYSICS = "against physics"
 """Status of a candidate vetoed by physics."""
 LEAST_ERROR = 1e-9
 """Least error of a group in a geometric mean."""
@@ -87,7 +87,7 @@ class Candidate:
     """`free_run` of the same candidate without the signs of physics, where these are
     constraints of its least squares."""
     status: str = "ok"
-    """`ok`, `diverged`, `wrong sign` (of a gain, by physics), `failed` or `skipped`."""
+    """`ok`, `diverged`, `against physics`, `failed` or `skipped`."""
     detail: str = ""
 
     @property

@@ -54,8 +54,9 @@ def search(
     """The best model by groups left out; see `jaxnarx.identify`."""
     tell = progress or (lambda event: None)
     begin = time.time()
-    for name, signs in physics.items():
-        make_pairs(data, signs, output=name)  # an error is told before any work
+    for name, own in physics.items():
+        if own.signs:
+            make_pairs(data, own, output=name)  # an error is told before any work
     profiles = {name: profile_data(data, name) for name in outputs}
     if groups is None:
         groups = make_groups(data, gap=max(one.memory for one in profiles.values()))
@@ -70,9 +71,12 @@ def search(
     }
     if states is not None:
         key["states"] = states
-    if physics:
-        signs = {name: one.signs for name, one in sorted(physics.items())}
+    known = sorted(physics.items())
+    if signs := {name: one.signs for name, one in known if one.signs}:
         key["physics"] = plain_value(signs)
+    slow = {name: one.longest_time_constant for name, one in known}
+    if slow := {name: one for name, one in slow.items() if one is not None}:
+        key["longest time constants"] = slow
     if at_rest is not None:
         key["at_rest"] = data_hash(at_rest)
     linear = PRESETS[preset].linear

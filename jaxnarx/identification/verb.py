@@ -95,9 +95,10 @@ def identify(
             the first, with `solution` after each, else with a row of that verb's own
             progress.
         physics: Signs of gains at rest by output (`jnx.identification.Physics`), such
-            as `{"NOx": Physics(increases_with=["ignition"])}`. They are constraints of
-            candidates in closed form, at measured samples spread over the data, and a
-            veto on all others; `unconstrained` of a candidate tells what they cost.
+            as `{"NOx": Physics(increases_with=["ignition"])}`, and longest time
+            constants. They are constraints of candidates in closed form, signs at
+            measured samples spread over the data, and a veto on all others;
+            `unconstrained` of a candidate tells what signs cost.
         at_rest: Operating points measured at rest: every sample is one, with inputs
             that were held until the outputs had settled. Candidates in closed form are
             trained on them too, each as much as on a settled record as long as the

@@ -31,8 +31,8 @@ DESCRIPTION = """All keys of a description of records:
     # of numbered columns: "runs.mat @ #1,2,5"
     groups = {cold = ["day1_*"], warm = ["day2_*"]}   # left out together, see below
     at_rest = ["steady.csv"]     # operating points, a row each, see below
-    [physics]                    # signs of gains at rest, by output, see below
-    NOx = {increases_with = ["load"], decreases_with = ["speed"]}
+    [physics]                    # what is known beforehand, by output, see below
+    NOx = {increases_with = ["load"], longest_time_constant = 5.0}
 
 Files are CSV, Parquet, Excel and OpenDocument sheets, MDF, MATLAB (4 to 7.3), HDF5 and
 npz. One output and [records] are required, and where the files do not tell the time
@@ -65,5 +65,7 @@ beside the records; the errors that it shows are those of records. Cells of outp
 were not measured at a point stay empty. With columns, all that these name are there.
 
 physics names inputs with which an output at rest must not fall (increases_with) or not
-rise (decreases_with). A search keeps these signs and tells what they cost.
+rise (decreases_with). A search keeps these signs and tells what they cost. No feedback
+and no filter is slower than longest_time_constant [s]; take it with a margin, for one
+that is too short costs more than it saves.
 """

@@ -2,17 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 
-from jaxnarx.checks import require, require_known
+from jaxnarx.checks import positive, require, require_known
 from jaxnarx.formatting import page
 from jaxnarx.settings.fields import settings
 
 
 @settings
 class Physics:
-    """Signs of the gains of one output at rest, over its whole domain.
+    """Signs of the gains of one output at rest, and how slow it is at most.
 
     The output at rest, all other inputs held, must not fall with inputs of
-    `increases_with`, nor rise with those of `decreases_with`.
+    `increases_with`, nor rise with those of `decreases_with`, over its whole domain. No
+    feedback and no filter of its model has a time constant beyond
+    `longest_time_constant`.
 
     Example:
         known = jnx.identification.Physics(increases_with=["a"], decreases_with=["b"])
@@ -23,6 +25,8 @@ class Physics:
     """Inputs with which the output at rest rises, or stays."""
     decreases_with: Sequence[str] = ()
     """Inputs with which it falls, or stays."""
+    longest_time_constant: float | int | None = None
+    """Time constant of its slowest answer at most [s]; None where nothing is known."""
 
     def __post_init__(self) -> None:
         both = [name for name in self.increases_with if name in self.decreases_with]
@@ -32,12 +36,15 @@ class Physics:
             f"increases_with and decreases_with contradict each other: "
             f"{', '.join(both)} is in both; a gain has one sign",
         )
+        longest = self.longest_time_constant
         require(
-            bool(self.signs),
+            bool(self.signs) or longest is not None,
             "increases_with",
             "physics without an input says nothing; name one under increases_with or "
-            "decreases_with",
+            "decreases_with, or give a longest_time_constant",
         )
+        if longest is not None:
+            positive(longest, "longest_time_constant", "number of seconds")
 
     @property
     def signs(self) -> dict[str, int]:
@@ -49,11 +56,15 @@ class Physics:
     _repr_html_ = page
 
     def __str__(self) -> str:
-        """`rises with a, b and falls with c`."""
+        """`rises with a, b and falls with c, no slower than 20 s`."""
         ways = ("rises", self.increases_with), ("falls", self.decreases_with)
-        return " and ".join(
+        told = " and ".join(
             f"{w} with {', '.join(names)}" for w, names in ways if names
         )
+        if self.longest_time_constant is None:
+            return told
+        slowest = f"no slower than {self.longest_time_constant:g} s"
+        return f"{told}, {slowest}" if told else f"is {slowest}"
 
 
 def require_physics(

@@ -259,7 +259,7 @@ def _identify_by_method(
     split = read_description(command.description, command.root)
     method = check_method(asked, split.all.channels)
     if split.physics:
-        warn("[physics] belongs to a search: this one method keeps no signs")
+        warn("[physics] belongs to a search: this one method does not keep to it")
     if split.at_rest is not None:
         warn("at_rest belongs to a search: this one method is trained on records alone")
     task = preparation_task(split.preparation, OneMethod(method, typed))

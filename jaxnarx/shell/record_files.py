@@ -87,16 +87,18 @@ def describe(
 
 
 def _physics(data: Dataset, physics: Mapping[str, Physics]) -> list[str]:
-    """Signs of gains, with those inputs that there are."""
+    """What physics says, of those inputs that there are."""
     lines = []
     for name, one in physics.items():
         if name not in data.channels.output_names:
             continue
-        told = [
+        told: list[str] = [
             f"{way} = {_list(kept)}"
             for way in ("increases_with", "decreases_with")
             if (kept := [n for n in getattr(one, way) if n in data.channels.names])
         ]
+        if one.longest_time_constant is not None:
+            told.append(f"longest_time_constant = {one.longest_time_constant!r}")
         lines += [f"{_quote(name)} = {{{', '.join(told)}}}"] if told else []
     return ["", "[physics]", *lines] if lines else []
 

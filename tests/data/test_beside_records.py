@@ -27,11 +27,12 @@ def with_physics(folder: Path, text: str) -> Path:
 
 
 def test_signs_of_gains_are_with_the_split(tmp_path):
-    text = 'NOx = {increases_with = ["TRQ"], decreases_with = ["N"]}'
+    text = 'NOx = {increases_with = ["TRQ"], decreases_with = ["N"], '
+    text += "longest_time_constant = 9}"
     split = read_split(with_physics(tmp_path, text))
-    known = Physics(increases_with=["TRQ"], decreases_with=["N"])
+    known = Physics(["TRQ"], ["N"], longest_time_constant=9.0)
     assert split.physics == {"NOx": known}
-    assert str(split).endswith("NOx rises with TRQ and falls with N")
+    assert str(split).endswith("rises with TRQ and falls with N, no slower than 9 s")
     assert not read_split(grouped(tmp_path, "{}")).physics
 
 
@@ -42,6 +43,16 @@ def test_signs_of_gains_are_with_the_split(tmp_path):
         ('NOx = {increases_with = ["TRG"]}', "physics.NOx", "Did you mean 'TRQ'"),
         ('NOx = ["TRQ"]', "physics.NOx", "must be a table"),
         ('NOx = {rises = ["TRQ"]}', "physics.NOx.rises", "unknown key 'rises'"),
+        (
+            "NOx = {longest_time_constant = -1}",
+            "physics.NOx.longest_time_constant",
+            "positive number of seconds",
+        ),
+        (
+            "NOx = {longest_time_constant = '9 s'}",
+            "physics.NOx.longest_time_constant",
+            "got '9 s'",
+        ),
         ("NOx = {increases_with = 3}", "physics.NOx.increases_with", "got 3"),
         ("NOx = {}", "physics.NOx.increases_with", "says nothing"),
         (

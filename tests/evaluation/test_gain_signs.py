@@ -11,9 +11,11 @@ from test_verdict import FINE, made
 
 import jaxnarx as jnx
 from jaxnarx.engines import Vct, records
-from jaxnarx.evaluation import check_gains
-from jaxnarx.evaluation.gain_signs import GainFinding, section_of_signs
+from jaxnarx.evaluation import check_gains, longest_time_constants
+from jaxnarx.evaluation.gain_signs import GainFinding
+from jaxnarx.evaluation.physics_checks import section_of_physics
 from jaxnarx.identification import Physics
+from jaxnarx.regressors import LowPass, Variables
 
 VARIABLES = ((A, 0), (B, 1), (Y, 1))
 LOW, HIGH = np.array([-4.0, -1.0, -9.0, -1.0]), np.array([4.0, 1.0, 9.0, 1.0])
@@ -66,7 +68,7 @@ def test_a_report_counts_gains_with_another_sign_than_asked():
     assert section.title in str(told)
     right = network(((0, 1), 0.4), ((0, 2), -0.2))
     section = jnx.report(right, data, physics=known, **bare).sections["physics"]
-    assert section.sentences == ("All gains at rest have the signs that physics asks.",)
+    assert section.sentences == ("Nothing contradicts what physics asks.",)
     assert "physics" not in jnx.report(net, data, **bare).sections
 
 
@@ -74,8 +76,32 @@ def test_what_does_not_come_to_rest_says_nothing():
     models = [[((0, 3), 1.2), ((0, 1), 0.5), ((1, 1), -0.25)]]
     restless = network(models=models)
     assert check_gains(restless, data) == ()
-    section = section_of_signs(restless, data, {"y": Physics(increases_with=["a"])})
+    section = section_of_physics(restless, data, {"y": Physics(increases_with=["a"])})
     assert section is not None and "Of y no gain is known here" in str(section)
+
+
+def test_time_constants_are_those_of_poles_and_filters():
+    """A pole of .5, one of .9 or none where b turns it, and the slower of both."""
+    net = network(((0, 1), 0.4), ((0, 2), -0.2))
+    time = float(net.sample_time)
+    assert longest_time_constants(net, data)["y"] == pytest.approx(time / np.log(2))
+    bent = network(models=[[((0, 3), 0.5), ((2, 3), 0.2), ((0, 1), 0.4)]])
+    rows = np.concatenate([r.signals for r in data])
+    b = rows[np.linspace(0, len(rows) - 1, 24).astype(int), 1]
+    pole = np.abs(0.5 + 0.2 * b / float(bent.gain[1])).max()
+    found = longest_time_constants(bent, data)["y"]
+    assert found == pytest.approx(-time / np.log(pole))
+    bare = common.network([common.Part([[((1,), 0.5)]])], variables=((A, 3),))
+    assert longest_time_constants(bare, data)["y"] == 0.0
+    fast = dataclasses.replace(bare, variables=Variables.of([(A, 0, LowPass(20.0))]))
+    assert longest_time_constants(fast, data)["y"] == pytest.approx(20.0)
+    wild = network(models=[[((0, 3), 1.2), ((0, 1), 0.5)]])
+    assert longest_time_constants(wild, data)["y"] == np.inf
+    slow = Physics(longest_time_constant=10.0)
+    section = section_of_physics(fast, data, {"y": slow})
+    assert section is not None and section.marked == ((0, 4),)
+    assert "of y is 20 s, longer than physics allows" in section.sentences[0]
+    assert section.rows[0][:2] == ("y", "is no slower than 10 s")
 
 
 def test_a_jump_is_told():

@@ -9,7 +9,7 @@ from search_problems import plant
 import jaxnarx as jnx
 from jaxnarx.data import groups
 from jaxnarx.errors import DataError
-from jaxnarx.evaluation import cost
+from jaxnarx.evaluation import cost, longest_time_constants
 from jaxnarx.identification import candidates as module
 from jaxnarx.identification.candidates import CandidateSearch
 from jaxnarx.identification.cross_validate import CrossValidation
@@ -119,14 +119,27 @@ def test_rows_tell_what_was_found(data, seen, few, judged):
 def test_a_trained_network_with_a_wrong_gain_is_vetoed(data, seen, few, judged):
     """The plant rises with its input: one sign that is asked is right, one wrong."""
     result = made([0.04, 0.09, 0.01, 0.25], few[1].network())
-    for sign, status in (("increases_with", "ok"), ("decreases_with", "wrong sign")):
+    right, wrong = Physics(increases_with=["u"]), Physics(decreases_with=["u"])
+    for physics, status in ((right, "ok"), (wrong, "against physics")):
         judged["results"] = [result] * 3
-        physics = Physics(**{sign: ["u"]})
         row, own = tried(data, seen, physics=physics)[1][3]
         assert row.status == status and row.eligible == (own is not None)
         assert row.eligible == (status == "ok")
     assert "24 of 24 gains at rest have the wrong sign: y falls with u" in row.detail
     assert row.free_run is None and None not in row.groups
+
+
+def test_a_trained_network_that_is_too_slow_is_vetoed(data, seen, few, judged):
+    network = few[1].network()
+    slow = longest_time_constants(network, data)["y"]
+    assert slow > 0
+    for share, status in ((1.1, "ok"), (0.9, "against physics")):
+        judged["results"] = [made([0.04, 0.09, 0.01, 0.25], network)] * 3
+        physics = Physics(longest_time_constant=share * slow)
+        row, own = tried(data, seen, physics=physics)[1][3]
+        assert row.status == status and row.eligible == (own is not None)
+    told = f"a time constant is {slow:.3g} s: y is no slower than {share * slow:g} s"
+    assert told in row.detail
 
 
 def test_standard_error_is_that_of_the_mean_over_groups(data, seen, few, judged):

@@ -64,11 +64,11 @@ def test_a_folder_goes_on_with_the_same_physics_alone(fit, folder):
 def test_vetoes_are_told(fit):
     board = fit.stats["leaderboard"]
     lost = dataclasses.replace(
-        board.rows[-1], number=99, free_run=None, status="wrong sign"
+        board.rows[-1], number=99, free_run=None, status="against physics"
     )
     more = Leaderboard((*board.rows, lost), board.group_names)
     told = " ".join(sentences(more, "y"))
-    assert f"1 of {len(more)} candidates has gains against physics: vetoed" in told
+    assert f"1 of {len(more)} candidates contradicts physics: vetoed" in told
 
 
 def test_an_input_that_stands_still_is_told_before_any_work(tmp_path):

@@ -134,7 +134,7 @@ def test_what_is_left_out_together_stays_so(capsys):
 
 
 def test_signs_of_gains_stay(place, capsys):
-    signs = 'NOx = {increases_with = ["speed", "=load"]}'
+    signs = 'NOx = {increases_with = ["speed", "=load"], longest_time_constant = 9.5}'
     (place / "signs.toml").write_text(f"{DESCRIPTION}[physics]\n{signs}\n")
     passes(capsys, "prepare signs.toml --out signs --scale standard")
     raw, done = read_split("signs.toml"), read_split("signs/prepared.toml")

@@ -362,7 +362,7 @@ def test_physics_of_the_description_is_handed_on(home, patched, capsys, tmp_path
     line = f"identify signs.toml --output y --out {tmp_path / 'signs'}"
     code, out, _ = typed(capsys, line)
     assert code == 0 and fake.options["physics"] == {"y": Physics(increases_with=["a"])}
-    assert "By physics, at rest: y rises with a\n" in out
+    assert "By physics: y rises with a\n" in out
 
 
 def test_operating_points_of_the_description_are_handed_on(

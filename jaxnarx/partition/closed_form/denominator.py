@@ -19,6 +19,19 @@ def denominator_from_times(
     return np.atleast_1d(np.poly(poles))
 
 
+def limit_poles(a: Float[np.ndarray, " _"], largest: float) -> Float[np.ndarray, " _"]:
+    """A(q) whose poles have at most this modulus: those beyond move there; `a` itself
+    where there are none."""
+    if not np.isfinite(largest):
+        return a
+    poles = np.roots(a)
+    size = np.abs(poles)
+    if not np.any(size > largest):
+        return a
+    held = poles * np.minimum(1.0, largest / np.where(size > 0, size, 1.0))
+    return np.atleast_1d(np.real(np.poly(held)))
+
+
 def is_stable(a: Float[np.ndarray, " _"]) -> bool:
     """Whether all poles are inside the unit circle."""
     return bool(has_stable_roots(a, STABILITY_MARGIN))

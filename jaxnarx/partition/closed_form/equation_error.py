@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.arrays import ridge_solve
+from jaxnarx.partition.closed_form.denominator import limit_poles
 from jaxnarx.partition.closed_form.physics import solve_signed
 from jaxnarx.partition.closed_form.signals import RunSignals
 from jaxnarx.regressors import evaluate
@@ -22,6 +23,8 @@ def equation_error(
     """A(q) and coefficients of least squares one step ahead with all terms (ARX).
 
     With `signs`, rows, these times the coefficients are not negative (`physics.rises`).
+    Where poles are beyond what the signals allow they move there, and the other
+    coefficients are those that are best with them.
     """
     size = order + len(signals.factor)
     gram, right = np.zeros((size, size)), np.zeros(size)
@@ -33,9 +36,16 @@ def equation_error(
         rows = np.concatenate([-one.lags(one.y, order)[:, at], terms])
         gram += rows @ rows.T
         right += rows @ one.y[at]
-    if signs is None:
-        found = ridge_solve(gram, right, RIDGE)
-    else:
-        signs = np.pad(signs, ((0, 0), (order, 0)))
-        found = solve_signed(gram, right, RIDGE, signs)
-    return np.concatenate([[1.0], found[:order]]), found[order:]
+
+    def solve(gram: np.ndarray, right: np.ndarray, past: int) -> np.ndarray:
+        if signs is None:
+            return ridge_solve(gram, right, RIDGE)
+        return solve_signed(gram, right, RIDGE, np.pad(signs, ((0, 0), (past, 0))))
+
+    found = solve(gram, right, order)
+    free = np.concatenate([[1.0], found[:order]])
+    a = limit_poles(free, signals.largest_pole)
+    if a is free:
+        return a, found[order:]
+    right = right[order:] - gram[order:, :order] @ a[1:]
+    return a, solve(gram[order:, order:], right, 0)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.arrays import ridge_solve
-from jaxnarx.partition.closed_form.denominator import is_stable
+from jaxnarx.partition.closed_form.denominator import is_stable, limit_poles
 from jaxnarx.partition.closed_form.design_matrix import (
     BlockDesign,
     Gate,
@@ -68,6 +68,7 @@ def _better(design: BlockDesign, loss: float, ridge: float, gates: bool):
         own = 0.5**halving * step
         a = design.a.copy()
         a[1:] += own[:order]
+        a = limit_poles(a, design.signals.largest_pole)
         if is_stable(a):
             tried = design.move(a, shift_gates(places, own[order:]))
             after = _loss(tried, ridge)

@@ -14,7 +14,11 @@ from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
 from jaxnarx.models import AbstractValidity, count_models
-from jaxnarx.partition.closed_form.denominator import denominator_from_times, is_stable
+from jaxnarx.partition.closed_form.denominator import (
+    denominator_from_times,
+    is_stable,
+    limit_poles,
+)
 from jaxnarx.partition.closed_form.design_matrix import Block, BlockDesign
 from jaxnarx.partition.closed_form.equation_error import equation_error
 from jaxnarx.partition.closed_form.gauss_newton import (
@@ -80,14 +84,18 @@ class ClosedSearch:
         *,
         root: bool = False,
         pairs: RestPairs | None = None,
+        longest: float | int | None = None,
         at_rest: Dataset | None = None,
     ):
         """With `root` a root of the output is modelled; all errors are those of the
         output. With `pairs` the output of every candidate rises along them at rest.
-        Samples of `at_rest` are operating points that train too."""
+        Feedback and filters have no time constant beyond `longest` [s]. Samples of
+        `at_rest` are operating points that train too."""
         self.data, self.profile, self.groups = data, profile, groups
         self.points = None if at_rest is None else rest_points(at_rest, profile.output)
         self.modelled_root, self.pairs = root, pairs
+        self.longest = np.inf if longest is None else longest / data.sample_time
+        """The longest time constant [samples]."""
         self.known: dict[tuple[Memory, int], RunSignals] = {}
         self.roots: list[ClosedForm] = []
         """The polynomials that `candidates` has divided."""
@@ -112,6 +120,7 @@ class ClosedSearch:
                 begin=self.profile.begin,
                 root=self.modelled_root,
                 least=np.inf if self.points is None else self.points.least,
+                largest_pole=self.largest_pole,
             )
             if self.points is not None:
                 signals = add_rest(signals, self.points, self.profile.memory)
@@ -120,7 +129,13 @@ class ClosedSearch:
 
     def memory(self, step: int) -> Memory:
         """Lags and filters in this scale."""
-        return Memory.of(step, self.profile.reach, self.profile.memory)
+        own = self.profile.reach, self.profile.memory
+        return Memory.of(step, *own, longest=self.longest)
+
+    @property
+    def largest_pole(self) -> float:
+        """The modulus of the poles of the feedback at most."""
+        return np.inf if np.isinf(self.longest) else float(np.exp(-1 / self.longest))
 
     def make_candidate(
         self, family: str, name: str, stage: GrownStage, structure: ClosedStructure
@@ -199,7 +214,11 @@ class ClosedSearch:
         self, signals: RunSignals, order: int, last: Float[np.ndarray, " _"]
     ) -> Float[np.ndarray, " _"]:
         """A(q) of linear terms: the best of several starts, tuned."""
-        starts = [a for a in self._starts(signals, order, last) if is_stable(a)]
+        starts = [
+            limit_poles(a, self.largest_pole)
+            for a in self._starts(signals, order, last)
+        ]
+        starts = [a for a in starts if is_stable(a)]
         every = []
         for a in starts:
             design = BlockDesign.of(signals, a)

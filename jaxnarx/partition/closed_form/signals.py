@@ -104,6 +104,8 @@ class RunSignals:
     it."""
     root: OutputRoot | None = None
     """Where a root of the output is modelled, whose are y, `middle` and `spread`."""
+    largest_pole: float = np.inf
+    """Modulus that poles of the feedback have at most."""
 
     @property
     def has_rest(self) -> bool:
@@ -160,13 +162,15 @@ def make_signals(
     begin: int = 0,
     root: bool = False,
     least: float = np.inf,
+    largest_pole: float = np.inf,
 ) -> RunSignals:
     """Columns' factors and targets of every record, each computed once.
 
     `pool` has one output and terms of inputs alone. `labels` and `apart` are
     `Groups.parts`. Runs start behind `history` samples at least; of every so many
     samples of a record one counts, but none of the first `begin`. With `root` a root of
-    the output is modelled, above its `least` value elsewhere too.
+    the output is modelled, above its `least` value elsewhere too. `largest_pole` is the
+    modulus that poles of the feedback have at most.
     """
     table = Variables.of(
         [
@@ -235,4 +239,5 @@ def make_signals(
         tuple(stretches),
         apart,
         original,
+        largest_pole,
     )

@@ -36,16 +36,18 @@ class Memory:
     """Time constants of filters in steps."""
 
     @classmethod
-    def of(cls, step: int, reach: int, memory: int) -> "Memory":
+    def of(
+        cls, step: int, reach: int, memory: int, longest: float = np.inf
+    ) -> "Memory":
         """The usual lags, as far as the reach, and filters until a response as long as
-        the memory is over behind the slowest [samples]."""
+        the memory is over behind the slowest [samples]; none slower than `longest`."""
         lags = tuple(lag for lag in LAG_STEPS if lag * step <= max(reach, 2))
         times = [
             FIRST_TIME_CONSTANT * TIME_CONSTANT_FACTOR**k for k in range(FEWEST_FILTERS)
         ]
         while 3 * times[-1] * step < memory:
             times.append(TIME_CONSTANT_FACTOR * times[-1])
-        return cls(step, lags, tuple(times))
+        return cls(step, lags, tuple(t for t in times if t * step <= longest))
 
     def lags_behind(self, dead_time: int) -> list[int]:
         """Lags from one step before the dead time on."""

@@ -187,12 +187,12 @@ def _run(
 def _chosen_physics(
     asked: Automatic, physics: Mapping[str, Physics]
 ) -> dict[str, Physics]:
-    """The signs of the outputs that are asked for; they are told."""
+    """What physics says of the outputs that are asked for; it is told."""
     wanted: Any = asked.outputs or physics
     chosen = {name: one for name, one in physics.items() if name in wanted}
     if chosen:
         told = "; ".join(f"{name} {one}" for name, one in chosen.items())
-        say(f"By physics, at rest: {told}")
+        say(f"By physics: {told}")
     return chosen
 
 

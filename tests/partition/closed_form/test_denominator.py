@@ -8,6 +8,7 @@ from jaxnarx.partition.closed_form.denominator import (
     STABILITY_MARGIN,
     denominator_from_times,
     is_stable,
+    limit_poles,
 )
 
 
@@ -84,3 +85,17 @@ def test_poles_of_time_constants():
         np.sort(np.roots(a)), np.exp(-0.1 / np.array([0.3, 0.7, 2.0]))
     )
     assert denominator_from_times((), 0.1).tolist() == [1.0]
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_poles_beyond_move_to_the_limit_and_others_stay(order):
+    for seed in range(20):
+        a, roots = by_roots((0.5, 0.95)[seed % 2], order, seed)
+        found = limit_poles(a, 0.8)
+        if seed % 2 == 0:
+            assert found is a
+            continue
+        held = roots * np.minimum(1.0, 0.8 / np.abs(roots))
+        np.testing.assert_allclose(found, np.real(np.poly(held)), atol=1e-9)
+    a = np.array([1.0, -1.5, 0.9])
+    assert limit_poles(a, np.inf) is a

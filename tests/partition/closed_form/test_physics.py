@@ -8,15 +8,21 @@ from scipy.optimize import minimize
 
 from jaxnarx.data import Dataset, groups
 from jaxnarx.errors import SpecError
-from jaxnarx.evaluation import count_wrong_signs, steady_states
+from jaxnarx.evaluation import (
+    count_wrong_signs,
+    longest_time_constants,
+    steady_states,
+)
 from jaxnarx.identification import Physics
 from jaxnarx.partition import ClosedForm, ClosedSearch, make_pairs, profile_data
+from jaxnarx.partition.closed_form.equation_error import equation_error
 from jaxnarx.partition.closed_form.physics import (
     constrain,
     rest_columns,
     rises,
     solve_signed,
 )
+from jaxnarx.regressors import evaluate
 from jaxnarx.settings import require_physics
 
 KNOWN = Physics(increases_with=["a", "b"])
@@ -50,11 +56,10 @@ def pairs(data):
     return make_pairs(data, KNOWN, output="y", points=100)
 
 
-def search_of(data, pairs=None, root=False) -> ClosedSearch:
+def search_of(data, pairs=None, root=False, longest=None) -> ClosedSearch:
     seen = profile_data(data, "y")
-    return ClosedSearch(
-        data, seen, groups(data, gap=seen.memory), root=root, pairs=pairs
-    )
+    own = data, seen, groups(data, gap=seen.memory)
+    return ClosedSearch(*own, root=root, pairs=pairs, longest=longest)
 
 
 @pytest.fixture(scope="module")
@@ -264,3 +269,34 @@ def test_one_without_a_solution_is_left_out(data, pairs, monkeypatch):
     monkeypatch.setattr("jaxnarx.partition.closed_form.search.constrain", fail)
     found = list(search_of(data, pairs).candidates(1, degree=1))
     assert [one.family for one in found] == ["constant"]
+
+
+def test_no_candidate_is_slower_than_it_may_be(data, free):
+    """The plant has a time constant of .28 s; without a bound several are slower."""
+    longest = 0.2
+    before = [longest_time_constants(one.network(), data)["y"] for one in free]
+    assert sum(slow > 1.05 * longest for slow in before) >= 5
+    found = list(search_of(data, longest=longest).candidates(2, grown_roots=1))
+    assert {one.family for one in found} >= {"ARX", "OE", "polynomial"}
+    orders = set()
+    for one in found:
+        assert longest_time_constants(one.network(), data)["y"] <= 1.01 * longest
+        orders.add(len(one.stage.design.a) - 1)
+    assert max(orders) >= 3
+    # A repeated one keeps to it too.
+    again = search_of(data, longest=longest).repeat("OE", found[4].structure, {})
+    assert longest_time_constants(again.network(), data)["y"] <= 1.01 * longest
+
+
+def test_the_other_coefficients_are_the_best_with_poles_that_moved(data):
+    """A slow oracle: what the feedback leaves of the output, by all terms."""
+    signals = search_of(data, longest=0.1).equation_error(1).stage.design.signals
+    a, theta = equation_error(signals, 1)
+    assert -a[1] == pytest.approx(np.exp(-data.sample_time / 0.1))
+    rows, left = [], []
+    for one in signals.stretches:
+        at = np.concatenate(one.counted)
+        rows.append(np.asarray(evaluate(signals.factor, one.z[:, at])))
+        left.append(one.y[at] + a[1] * one.y[at - 1])
+    best = np.linalg.lstsq(np.concatenate(rows, axis=1).T, np.concatenate(left))[0]
+    np.testing.assert_allclose(theta, best, atol=1e-6)
