@@ -44,6 +44,7 @@ from jaxnarx.data.lags import LagSuggestion as LagSuggestion
 from jaxnarx.data.lags import bank_times as bank_times
 from jaxnarx.data.lags import step_times as step_times
 from jaxnarx.data.lags import suggest_lags as suggest_lags
+from jaxnarx.data.levels import input_levels as input_levels
 from jaxnarx.data.missing import hold as hold
 from jaxnarx.data.pieces import usual_length as usual_length
 from jaxnarx.data.preparation import AbstractStep as AbstractStep

@@ -18,8 +18,7 @@ from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
 from jaxnarx.evaluation._steady_states import operating_point, steady_states
 from jaxnarx.formatting import page
-from jaxnarx.models import Network
-from jaxnarx.partition import INPUT_STEP_SHARE
+from jaxnarx.models import INPUT_STEP_SHARE, Network
 from jaxnarx.simulation import match_records
 
 MAX_REST_RUNS = 160

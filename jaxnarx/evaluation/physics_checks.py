@@ -28,10 +28,10 @@ from jaxnarx.models import (
     carried,
     driving_signals,
     filter_poles,
+    make_pairs,
     ranges,
     split_outputs,
 )
-from jaxnarx.partition import make_pairs
 from jaxnarx.settings import Physics, require_physics
 from jaxnarx.simulation import match_records
 

@@ -40,7 +40,7 @@ from jaxnarx.identification.state_space_candidates import (
     propose_gates,
     propose_state_space,
 )
-from jaxnarx.models import Network, hold_to_range, total
+from jaxnarx.models import Network, hold_to_range, make_pairs, total
 from jaxnarx.partition import (
     OF_ROOT,
     ClosedForm,
@@ -50,7 +50,6 @@ from jaxnarx.partition import (
     Sum,
     Summand,
     best_sum,
-    make_pairs,
 )
 from jaxnarx.refinement import largest_local_pole, stays_bounded
 from jaxnarx.settings import (

@@ -24,8 +24,8 @@ from jaxnarx.identification.leaderboard import Candidate, Leaderboard
 from jaxnarx.identification.search_folder import ROW_VERSION, SearchFolder, open_search
 from jaxnarx.identification.time_budget import TimeBudget
 from jaxnarx.identification.worker import OutputTask, SearchWorker, cores
-from jaxnarx.models import Network, combine_outputs, set_bounds
-from jaxnarx.partition import make_pairs, profile_data
+from jaxnarx.models import Network, combine_outputs, make_pairs, set_bounds
+from jaxnarx.partition import profile_data
 from jaxnarx.settings import PARTITIONS, PRESETS, Physics, plain_value
 from jaxnarx.simulation import match_records
 from jaxnarx.solution import RESULTS, Solution

@@ -79,6 +79,9 @@ from jaxnarx.models.policies import describe_policies as describe_policies
 from jaxnarx.models.record_run import recursion as recursion
 from jaxnarx.models.record_run import run_record as run_record
 from jaxnarx.models.record_run import run_states as run_states
+from jaxnarx.models.rest_pairs import INPUT_STEP_SHARE as INPUT_STEP_SHARE
+from jaxnarx.models.rest_pairs import RestPairs as RestPairs
+from jaxnarx.models.rest_pairs import make_pairs as make_pairs
 from jaxnarx.models.scheduling import scaled_points as scaled_points
 from jaxnarx.models.scheduling import scheduling_values as scheduling_values
 from jaxnarx.models.scheduling import weights_at as weights_at

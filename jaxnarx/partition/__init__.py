@@ -7,9 +7,6 @@ from jaxnarx.partition._grow import grow
 from jaxnarx.partition._lolimot import lolimot, validity_of_boxes
 from jaxnarx.partition.closed_form.model import ClosedForm as ClosedForm
 from jaxnarx.partition.closed_form.model import ClosedStructure as ClosedStructure
-from jaxnarx.partition.closed_form.physics import INPUT_STEP_SHARE as INPUT_STEP_SHARE
-from jaxnarx.partition.closed_form.physics import RestPairs as RestPairs
-from jaxnarx.partition.closed_form.physics import make_pairs as make_pairs
 from jaxnarx.partition.closed_form.profile import DataProfile as DataProfile
 from jaxnarx.partition.closed_form.profile import profile_data as profile_data
 from jaxnarx.partition.closed_form.rest import rest_points as rest_points

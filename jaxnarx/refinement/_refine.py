@@ -1,7 +1,7 @@
 """The verb `refine`: train a network on the error of its own runs."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -15,6 +15,7 @@ from jaxnarx.models import Network, set_bounds
 from jaxnarx.refinement._stability import first_horizon
 from jaxnarx.refinement._stages import Stage, stages
 from jaxnarx.refinement.folds import best_position, curve, split_folds
+from jaxnarx.refinement.gain_penalty import SignPenalty, sign_penalty
 from jaxnarx.refinement.initial import initial_conditions
 from jaxnarx.refinement.layout import Layout, freeze, make_layout
 from jaxnarx.refinement.prediction import refine_prediction
@@ -28,7 +29,7 @@ from jaxnarx.refinement.training_data import (
     require_motion,
     require_window,
 )
-from jaxnarx.settings import PredictionError, SimulationError
+from jaxnarx.settings import Physics, PredictionError, SimulationError
 from jaxnarx.simulation import Prepared, check_records, match_records
 from jaxnarx.solution import RESULTS, Solution, tell_precision
 
@@ -46,6 +47,7 @@ def refine(
     trainable: Network | None = None,
     weights: Sequence[float | int] | None = None,
     deviations: Network | None = None,
+    physics: Mapping[str, Physics] | None = None,
     progress: Progress | None = None,
     solver: Any = None,
 ) -> Solution[Network]:
@@ -84,6 +86,10 @@ def refine(
             prior around the start for every trained parameter (as it stands in the
             network; infinite for none). The noise it is weighed against is what is left
             at the start of a stage.
+        physics: Signs of gains at rest by output (`jnx.identification.Physics`): what
+            outputs at rest do against them, at measured samples spread over the data,
+            is a penalty of the loss and of what judges each step. Longest time
+            constants are not looked at.
         progress: A function called on the host with a dictionary after every accepted
             step.
         solver: In place of Levenberg-Marquardt, which never stores the Jacobian: any
@@ -108,7 +114,7 @@ def refine(
     if isinstance(method, SimulationError) and method.stable:
         bare = dataclasses.replace(method, stable=False)
         given = {"trainable": trainable, "weights": weights, "progress": progress}
-        given["solver"] = solver
+        given |= {"solver": solver, "physics": physics}
 
         def continue_refinement(
             start: Network, deviations: Network | None
@@ -132,6 +138,10 @@ def refine(
     require_motion(network, task)
     require_window(network, data)
     _require_solver(network, method, solver)
+    signs = None
+    if physics:
+        _require_free_run(method)
+        signs = sign_penalty(network, match_records(network, data), physics)
     task = task.with_hidden_starts(network)
     guard = task
     if validation is not None:
@@ -172,6 +182,7 @@ def refine(
         left_out=found,
         deviations=deviations,
         solver=solver,
+        signs=signs,
     )
 
 
@@ -185,6 +196,7 @@ def refine_task(
     left_out: Groups | None = None,
     deviations: Network | None = None,
     solver: Any = None,
+    signs: SignPenalty | None = None,
 ) -> Solution[Network]:
     """`refine` on prepared data, for those who refine many networks on the same.
 
@@ -206,6 +218,7 @@ def refine_task(
             progress=progress,
             limit=limit,
             solver=solver,
+            signs=signs,
         )
 
     if takes_windows(solver) and all(len(s) == 1 for s in schedules.values()):
@@ -237,6 +250,15 @@ def _require_free(deviations: Network | None) -> None:
         raise SpecError(
             "stable and deviations do not go together; leave one out",
             field="deviations",
+        )
+
+
+def _require_free_run(method: SimulationError | PredictionError) -> None:
+    """SpecError for signs beside the one-step error."""
+    if isinstance(method, PredictionError):
+        raise SpecError(
+            "physics is a penalty of the free run's error; take SimulationError",
+            field="physics",
         )
 
 

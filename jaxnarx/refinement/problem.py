@@ -1,5 +1,7 @@
 """One stage of a refinement as its solvers see it: a loss and its linearisation."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,6 +19,7 @@ from jaxnarx.refinement._stability import (
     penalty_residuals,
 )
 from jaxnarx.refinement.criterion import Criterion
+from jaxnarx.refinement.gain_penalty import SignPenalty
 from jaxnarx.refinement.gauss_newton import loss, normal_equations, roots
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.training_data import TrainingData
@@ -82,7 +85,7 @@ class Problem(AbstractProblem):
     moving: Bool[Arrays, " params"]
     ridge: Float[Arrays, ""]
     prior: Float[Arrays, " params"] | None = None
-    restraint: Restraint | None = None
+    restraints: tuple[Restraint | SignPenalty, ...] = ()
     shrink: Float[Arrays, " params"] | None = None
 
     @property
@@ -96,29 +99,32 @@ class Problem(AbstractProblem):
         return self.layout.wall()
 
     def loss(self, u: Float[Array, " params"]) -> Float[Array, ""]:
-        """Errors of the run, and the penalty."""
+        """Errors of the run, and the penalties."""
         at = self.drive, self.anchor, self.weight, self.criterion
-        value = loss(self.layout, u, *at)
-        if self.restraint is None:
-            return value
-        return value + self.restraint(self.layout, u)
+        return loss(self.layout, u, *at) + self.penalty(u)
+
+    def penalty(self, u: Float[Array, " params"]) -> Float[Array, ""]:
+        """The penalties alone."""
+        zero = jnp.zeros((), jnp.asarray(self.weight).dtype)
+        return sum((one(self.layout, u) for one in self.restraints), zero)
 
     def roots(self, u: Float[Array, " params"]) -> Array:
         """The roots whose sum of squares is the errors' loss, one for every sample; and
-        the penalty's root behind them."""
+        the root of every penalty behind them."""
         at = self.drive, self.anchor, self.weight, self.criterion
         found = roots(self.layout, u, *at)
-        if self.restraint is None:
-            return found
-        penalty = self.restraint(self.layout, u)
-        return jnp.append(found, jnp.sqrt(jnp.where(penalty > 0, penalty, 1e-300)))
+        for one in self.restraints:
+            penalty = one(self.layout, u)
+            root = jnp.sqrt(jnp.where(penalty > 0, penalty, 1e-300))
+            found = jnp.append(found, root)
+        return found
 
     def linear(self, u: Float[Array, " params"]) -> Linear:
-        """Normal equations of both; zero where parameters rest."""
+        """Normal equations of all; zero where parameters rest."""
         at = self.drive, self.anchor, self.weight, self.criterion
         found = Linear(u, *normal_equations(self.layout, u, *at))
-        if self.restraint is not None:
-            more = self.restraint.linear(self.layout, u)
+        for one in self.restraints:
+            more = one.linear(self.layout, u)
             sums = zip(*map(_parts, (found, more)), strict=True)
             found = Linear(u, *(a + b for a, b in sums))
         moving = jnp.asarray(self.moving)
@@ -152,7 +158,7 @@ def make_problem(
     ridge: float | int = 0.0,
     prior: Float[np.ndarray, " params"] | None = None,
     still: np.ndarray | None = None,
-    restraint: Restraint | None = None,
+    restraints: Sequence[Restraint | SignPenalty | None] = (),
     shrink: float | int = 0.0,
 ) -> Problem:
     """The loss of a task's runs that restart every `horizon` samples.
@@ -176,7 +182,7 @@ def make_problem(
         moving,
         np.asarray(ridge, dtype),
         prior,
-        restraint,
+        tuple(one for one in restraints if one is not None),
         _shrink(layout, float(shrink)) if shrink else None,
     )
 

@@ -70,9 +70,7 @@ def batch_loss(
     y = run(network, window, anchor)
     weight = jnp.where(jnp.arange(size)[None, :, None] < before, 0.0, weight)
     value = share * problem.criterion(y, window.measured, weight) + s.ridge(u)
-    if problem.restraint is not None:
-        value = value + problem.restraint(problem.layout, u)
-    return value / s.height
+    return (value + problem.penalty(u)) / s.height
 
 
 def clip_gradients(

@@ -25,6 +25,7 @@ from jaxnarx.arrays import (
 from jaxnarx.errors import SpecError
 from jaxnarx.models import Network
 from jaxnarx.refinement._stages import Stage
+from jaxnarx.refinement.gain_penalty import SignPenalty
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.problem import Problem, make_problem, restraint
 from jaxnarx.refinement.training_data import TrainingData
@@ -75,12 +76,15 @@ class Search:
         progress: Progress | None = None,
         limit: int | None = None,
         solver: Any = None,
+        signs: SignPenalty | None = None,
     ):
-        self.solver = solver
+        self.solver, self.signs = solver, signs
         self.layout, self.task, self.method = layout, task, method
         self.schedules, self.prior = schedules, prior
         self.limit = limit
-        self.validate = make_validator(layout, guard, trained=guard is task)
+        self.validate = make_validator(
+            layout, guard, trained=guard is task, signs=signs
+        )
         self.still = layout.partition()
         self.start = np.asarray(layout.gather(layout.base))
         # Entries near their limits are placed a little off them: the network itself.
@@ -146,7 +150,7 @@ class Search:
         self.state = dataclasses.replace(self.state, **new)
 
     def problem(self, u: np.ndarray, stage: Stage) -> Problem:
-        """The loss of a stage, with the restraint that suits the network at `u`."""
+        """The loss of a stage, with the restraints that suit the network at `u`."""
         weight, target = self.method.stability, self.method.contraction
         return make_problem(
             self.layout,
@@ -155,7 +159,10 @@ class Search:
             ridge=self.method.ridge,
             prior=self.prior,
             still=self.still if stage.only_coefficients else None,
-            restraint=restraint(self.layout, u, self.task, weight, target),
+            restraints=[
+                restraint(self.layout, u, self.task, weight, target),
+                self.signs,
+            ],
             shrink=self.method.shrink,
         )
 
@@ -215,7 +222,8 @@ class Search:
         best = self.state.best
         u, same = np.asarray(best.u), int(best.attempt) == 0
         network = self.layout.base if same else self.layout.place(u)
-        detail = f"free-run loss {self.log.start_loss:.4g} -> {self.score:.4g}"
+        both = " and penalty of gains" * (self.signs is not None)
+        detail = f"free-run loss{both} {self.log.start_loss:.4g} -> {self.score:.4g}"
         if self.diverged:
             status = RESULTS.start_diverged if self.start_diverged else status
             detail += "; no better network was found that runs within its bounds"

@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxnarx.arrays import ValidationScore, twin
 from jaxnarx.refinement.criterion import Criterion
+from jaxnarx.refinement.gain_penalty import SignPenalty
 from jaxnarx.refinement.layout import Layout
 from jaxnarx.refinement.training_data import TrainingData
 from jaxnarx.simulation import (
@@ -26,7 +27,7 @@ class Validator(eqx.Module):
     no window tells them well, and what would be scored is that; a state at its bound is
     no reason to turn back there, the finished network is scored by its own run. On
     other records they are estimated anew for every network, before the sample `start`
-    of each.
+    of each. What gains at rest have against `signs` counts as part of the loss.
     """
 
     layout: Layout
@@ -36,6 +37,7 @@ class Validator(eqx.Module):
     counted: Bool[Array | np.ndarray, "records time"]
     weight: Float[Array, "records time outputs"]
     criterion: Criterion
+    signs: SignPenalty | None = None
     trained: bool = eqx.field(static=True, default=False)
 
     @property
@@ -53,6 +55,8 @@ class Validator(eqx.Module):
             drive = begin_hidden(network, drive, jnp.asarray(self.start))
         y = run(network, drive, self.anchor)
         value = self.criterion(y, drive.measured, self.weight)
+        if self.signs is not None:
+            value = value + self.signs(self.layout, u)
         held = jnp.moveaxis(limited_samples(network, y), 2, 0)
         counted = jnp.broadcast_to(self.counted[None], held.shape)
         lost = jnp.any(has_diverged(held, counted))
@@ -62,7 +66,11 @@ class Validator(eqx.Module):
 
 
 def make_validator(
-    layout: Layout, task: TrainingData, *, trained: bool = False
+    layout: Layout,
+    task: TrainingData,
+    *,
+    trained: bool = False,
+    signs: SignPenalty | None = None,
 ) -> Validator:
     """Make the validator of a task's records; those without a scored sample cannot
     diverge.
@@ -80,5 +88,6 @@ def make_validator(
         counted,
         task.weight,
         task.criterion,
+        signs,
         trained and layout.base.hidden > 0,
     )

@@ -4,13 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from jaxnarx.data import Dataset, dynamics, usual_length
+from jaxnarx.data import Dataset, dynamics, input_levels, usual_length
 from jaxnarx.errors import DataError
 
-FEW_LEVELS = 3
-"""Distinct values up to which an input counts as binary or event-like."""
-BETWEEN_LEVELS_SHARE = 0.02
-"""Share of the samples that may lie between these values: edges that were resampled."""
 COUNTED_SAMPLES = 20_000
 """Samples that judge; of longer data every k-th one counts."""
 SHORTEST_REACHES = 15
@@ -101,14 +97,3 @@ def _require_seen(data: Dataset) -> None:
     for name, there in zip(data.channels.names, seen.tolist(), strict=True):
         if not there:
             raise DataError(f"{name} is measured nowhere; leave it out")
-
-
-def input_levels(data: Dataset, place: int) -> tuple[float, ...] | None:
-    """The few values at which nearly all samples of an input stand, if there are."""
-    parts = [r.u[r.valid[:, place], place] for r in data]
-    values, count = np.unique(np.concatenate(parts), return_counts=True)
-    often = np.sort(np.argsort(-count, kind="stable")[:FEW_LEVELS])
-    often = often[count[often] > BETWEEN_LEVELS_SHARE * count.sum()]
-    if count[often].sum() < (1 - BETWEEN_LEVELS_SHARE) * count.sum():
-        return None
-    return tuple(float(v) for v in values[often])

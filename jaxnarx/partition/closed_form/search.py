@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxnarx.data import Dataset, Groups
-from jaxnarx.models import AbstractValidity, count_models
+from jaxnarx.models import AbstractValidity, RestPairs, count_models
 from jaxnarx.partition.closed_form.denominator import (
     denominator_from_times,
     is_stable,
@@ -35,7 +35,6 @@ from jaxnarx.partition.closed_form.growth import (
 from jaxnarx.partition.closed_form.model import ClosedForm, ClosedStructure, tame
 from jaxnarx.partition.closed_form.physics import (
     LEAST_VIOLATION,
-    RestPairs,
     constrain,
     rises,
 )

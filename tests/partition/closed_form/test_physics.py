@@ -14,7 +14,8 @@ from jaxnarx.evaluation import (
     steady_states,
 )
 from jaxnarx.identification import Physics
-from jaxnarx.partition import ClosedForm, ClosedSearch, make_pairs, profile_data
+from jaxnarx.models import make_pairs
+from jaxnarx.partition import ClosedForm, ClosedSearch, profile_data
 from jaxnarx.partition.closed_form.equation_error import equation_error
 from jaxnarx.partition.closed_form.physics import (
     constrain,
