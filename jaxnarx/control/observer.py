@@ -25,7 +25,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxnarx.models import Network, StateForm, carried, remember_outputs, sources
+from jaxnarx.models import (
+    Network,
+    StateForm,
+    carried,
+    fed_back_variables,
+    remember_outputs,
+    sources,
+)
 
 LEAST_NOISE = 1e-3
 """Standard deviation of the noise, at least, as a share of an output's size."""
@@ -90,18 +97,30 @@ def recover(
     """The estimate, begun anew after outputs as they have been measured where the run
     of a network stands at its bounds; and whether it does.
 
-    No correction leads back from there, for nothing depends on the state. An estimate
-    goes on where the network carries more than past outputs, or where an output was not
-    measured.
+    No correction leads back from there, for such an output does not depend on the
+    state. An estimate goes on where the network has no feedback or carries more than
+    past outputs, where an output was not measured or is itself beyond the bounds, and
+    where the run would be back at them at once.
     """
-    if len(sources(network)) != len(network.modelled) or not carried(network).any():
+    count, at = len(network.modelled), np.flatnonzero(carried(network))
+    fed_back = fed_back_variables(network.variables, network.signals)
+    if len(sources(network)) != count or not fed_back:
         return before, jnp.zeros((), bool)
-    y = StateForm(network).h(before.x, u)
-    gain = network.gain[np.array(network.signals)]
-    at_bound = (y <= network.lower * gain) | (y >= network.upper * gain)
-    lost = jnp.any(at_bound) & jnp.isfinite(measured).all()
+    form, gain = StateForm(network), network.gain[np.array(network.signals)]
+    low, high = network.lower * gain, network.upper * gain
+    free = ~jnp.asarray(network.saturates) & (low < high)
+
+    def clipped(x: Array) -> Array:
+        # What is remembered of a step is not held to the reported range.
+        y = form.f(x, u)[at].reshape(count, -1)[:, 0]
+        return jnp.any(((y <= low) | (y >= high)) & free)
+
     x = remember_outputs(network, before.x, measured)
-    anew = begin_estimate(statistics, x, jnp.zeros_like(y), states=states)
+    inside = jnp.all(((measured > low) & (measured < high)) | ~free)
+    known = jnp.isfinite(measured).all()
+    lost = known & inside & clipped(before.x) & ~clipped(x)
+    nothing = jnp.zeros_like(before.offset)
+    anew = begin_estimate(statistics, x, nothing, states=states)
     found = jax.tree.map(lambda a, b: jnp.where(lost, a, b), anew, before)
     return found, lost
 

@@ -5,10 +5,12 @@ feedback of local models), linearised at rest, and of the filters that inputs pa
 Delayed inputs have none.
 """
 
+import dataclasses
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -116,29 +118,64 @@ def longest_time_constants(
         By output: -T / log r for the largest modulus r of the poles of what the
         recursion carries, at any operating point, or that of its slowest filter where
         this is longer. Infinite where it is unstable at rest, zero without a memory but
-        delayed inputs, NaN where no point of rest is found. Outputs that look at one
-        another have theirs in common.
+        delayed inputs, NaN where no point of rest is found. Outputs of which one looks
+        at the other have theirs in common.
 
     Example:
         print(jnx.evaluation.longest_time_constants(network, data))
     """
     data, out = match_records(network, data), {}
-    rows = np.concatenate([r.signals[r.valid.all(axis=1)] for r in data]).astype(float)
-    at = np.unique(np.linspace(0, len(rows) - 1, min(points, len(rows))).astype(int))
     for part in split_outputs(network):
-        own = part.network
+        # Beyond its bounds a run would stand still, and be quick.
+        own = _unbounded(part.network)
         slow = [-1 / pole.real for pole in filter_poles(own)]
         if carried(own).any():
-            u = rows[at][:, np.array(driving_signals(own), int)]
-            slow.append(_slowest_loop(own, u) * float(own.sample_time))
+            u, y = _operating_points(own, data, points)
+            found = _slowest_loop(own, u, y) if len(u) else float("nan")
+            slow.append(found * float(own.sample_time))
         longest = float(np.max(slow, initial=0.0))
         out |= dict.fromkeys(own.output_names, longest)
     return {name: out[name] for name in network.output_names}
 
 
-def _slowest_loop(network: Network, u: Float[np.ndarray, "points driving"]) -> float:
+def _unbounded(network: Network) -> Network:
+    """The network without bounds, but of what saturates by its kind."""
+    keeps = jnp.asarray(network.saturates)
+    lower = jnp.where(keeps, network.lower, -jnp.inf)
+    upper = jnp.where(keeps, network.upper, jnp.inf)
+    return dataclasses.replace(network, lower=lower, upper=upper, hold=None)
+
+
+def _operating_points(
+    network: Network, data: Dataset, points: int
+) -> tuple[Float[np.ndarray, "points driving"], Float[np.ndarray, "points outputs"]]:
+    """Measured inputs, evenly spread, and the outputs there; where these were not
+    measured the middle of their range."""
+    driving = np.array(driving_signals(network), int)
+    outputs = np.array(network.signals)[: len(network.modelled)]
+    rows, there = (
+        np.concatenate([getattr(r, name) for r in data])
+        for name in ("signals", "valid")
+    )
+    good = there[:, driving].all(axis=1)
+    rows, there = rows[good].astype(float), there[good]
+    at = np.unique(np.linspace(0, len(rows) - 1, min(points, len(rows))).astype(int))
+    low, high = (np.asarray(e, float)[outputs] for e in (network.low, network.high))
+    known = there[at][:, outputs]
+    y = np.where(known, rows[at][:, outputs], (low + high)[None] / 2)
+    return rows[at][:, driving], y
+
+
+def _slowest_loop(
+    network: Network,
+    u: Float[np.ndarray, "points driving"],
+    y: Float[np.ndarray, "points outputs"],
+) -> float:
     """The longest time constant of the recursion [samples]."""
-    jacobians, settled = (np.asarray(a) for a in _linearise(network, u))
+    kind = network.gain.dtype
+    found = _linearise(network, u.astype(kind), y.astype(kind))
+    jacobians, settled = (np.asarray(a) for a in found)
+    settled = settled & np.isfinite(jacobians).all(axis=(1, 2))
     if not settled.any():
         return float("nan")
     modulus = float(np.abs(np.linalg.eigvals(jacobians[settled])).max())
@@ -148,15 +185,20 @@ def _slowest_loop(network: Network, u: Float[np.ndarray, "points driving"]) -> f
 
 
 @program
-def _linearise(network: Network, u: Float[jax.Array, "points driving"]) -> tuple:
-    """Jacobians of what the recursion carries, at rest, and whether that was found."""
+def _linearise(
+    network: Network,
+    u: Float[jax.Array, "points driving"],
+    y: Float[jax.Array, "points outputs"],
+) -> tuple:
+    """Jacobians of what the recursion carries, at rest near these outputs, and whether
+    that was found."""
     form, at = StateForm(network), np.flatnonzero(carried(network))
 
-    def point(row):
-        x, settled = form.equilibrium(row)
+    def point(row, outputs):
+        x, settled = form.equilibrium(row, outputs)
         return form.jacobians(x, row)[0][np.ix_(at, at)], settled
 
-    return jax.vmap(point)(u)
+    return jax.vmap(point)(u, y)
 
 
 def section_of_physics(
@@ -182,12 +224,7 @@ def section_of_physics(
         if one.wrong
     ]
     late = {name: is_slower(slow.get(name), one) for name, one in asked.items()}
-    told += [
-        f"The longest time constant of {name} is {slow[name]:.3g} s, longer than "
-        "physics allows."
-        for name in asked
-        if late[name]
-    ]
+    told += [_told(name, slow[name]) for name in asked if late[name]]
     unknown = [n for n, one in found.items() if asked[n].signs and not one.known]
     if unknown:
         told.append(
@@ -202,6 +239,16 @@ def section_of_physics(
     if not slow:
         header, rows = header[:-1], tuple(row[:-1] for row in rows)
     return Section("Physics", tuple(told), header, rows, marked=wrong)
+
+
+def _told(name: str, slow: float) -> str:
+    """What a time constant has against physics."""
+    if np.isnan(slow):
+        return f"Of {name} no time constant is known: it comes to rest nowhere."
+    if np.isinf(slow):
+        return f"{name} is unstable at rest at some operating points."
+    told = f"The longest time constant of {name} is {slow:.3g} s, longer than"
+    return f"{told} physics allows."
 
 
 def is_slower(found: float | None, physics: Physics) -> bool:

@@ -572,6 +572,8 @@ class CandidateSearch:
         slow = longest_time_constants(network, self.data)[output]
         if np.isnan(slow):
             return f"it comes to rest nowhere, and {asked}"
+        if np.isinf(slow):
+            return f"it is unstable at rest, and {asked}"
         late = is_slower(slow, physics)
         return f"a time constant is {slow:.3g} s: {asked}" if late else ""
 

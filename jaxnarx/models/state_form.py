@@ -209,7 +209,8 @@ def _rest(
         past = rest_memory(network, row, z * size)
         return advance_memory(network, past, row, fixed)[0].loop[:, 0] / size - z
 
-    solver = optimistix.Newton(rtol=REST_TOLERANCE, atol=REST_TOLERANCE)
+    near = max(REST_TOLERANCE, 100 * float(jnp.finfo(begin.dtype).eps))
+    solver = optimistix.Newton(rtol=near, atol=near)
     found = optimistix.root_find(
         find_motion, solver, begin / size, max_steps=REST_STEPS, throw=False
     )

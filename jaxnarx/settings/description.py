@@ -66,6 +66,5 @@ were not measured at a point stay empty. With columns, all that these name are t
 
 physics names inputs with which an output at rest must not fall (increases_with) or not
 rise (decreases_with). A search keeps these signs and tells what they cost. No feedback
-and no filter is slower than longest_time_constant [s]; take it with a margin, for one
-that is too short costs more than it saves.
+and no filter is slower than longest_time_constant [s]; take it with a margin.
 """

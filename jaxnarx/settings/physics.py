@@ -44,7 +44,8 @@ class Physics:
             "decreases_with, or give a longest_time_constant",
         )
         if longest is not None:
-            positive(longest, "longest_time_constant", "number of seconds")
+            seconds = positive(longest, "longest_time_constant", "number of seconds")
+            object.__setattr__(self, "longest_time_constant", seconds)
 
     @property
     def signs(self) -> dict[str, int]:

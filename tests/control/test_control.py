@@ -21,6 +21,7 @@ from jaxnarx.control.controller import (
 )
 from jaxnarx.control.observer import advance_estimate, correct, split_error
 from jaxnarx.errors import DataError, SpecError
+from jaxnarx.models import hold_to_range
 
 FREE = {"force": Command(low=-1.0, high=1.0, rate=1.0, effort=0.03)}
 
@@ -120,14 +121,18 @@ def test_the_observer_is_a_kalman_filter():
     np.testing.assert_allclose(after.covariance, p + np.diag(steps), atol=1e-8)
 
 
+@pytest.mark.parametrize("held", [True, False])
 @pytest.mark.parametrize("states", [True, False])
-def test_a_run_at_its_bounds_begins_anew(states):
+def test_a_run_at_its_bounds_begins_anew(states, held):
     """Nothing depends on such a state: an observer alone calls all of it an offset."""
     controller = linear_controller(observe_states=states)
+    if held:
+        network = hold_to_range(controller.network)
+        controller = dataclasses.replace(controller, network=network)
     state = controller.begin([0.2, -0.1], [0.1, 0.1])
     near, decision = controller.step(state, [0.1, 0.1], [0.1], [-0.1])
     assert not decision.restarted
-    far = state.estimate.x.at[2:].set(1e3)
+    far = state.estimate.x.at[2:4].set(1e3)
     lost = state._replace(estimate=state.estimate._replace(x=far))
     for measured, restarted in (([0.1, 0.1], True), ([0.1, np.nan], False)):
         now, decision = controller.step(lost, measured, [0.1], [-0.1])
@@ -137,6 +142,18 @@ def test_a_run_at_its_bounds_begins_anew(states):
             assert np.abs(now.estimate.x).max() < 1.0
             _, decision = controller.step(now, measured, [0.1], [-0.1])
             assert not decision.restarted
+
+
+def test_what_comes_to_rest_at_its_bounds_keeps_its_offset():
+    """A run that would be back there at once does not begin anew."""
+    controller = linear_controller(observe_states=False)
+    network, force = controller.network, 1.0
+    tight = dataclasses.replace(network, upper=0.5 * network.upper)
+    controller = dataclasses.replace(controller, network=tight)
+    y = np.asarray(network.upper * network.gain[2:])
+    state = controller.begin([force, 0.0], 0.8 * y)
+    _, decision = controller.step(state, 0.8 * y, [0.1], [0.0])
+    assert not decision.restarted
 
 
 def test_errors_are_split_into_noise_and_what_fades():

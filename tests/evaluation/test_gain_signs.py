@@ -15,6 +15,7 @@ from jaxnarx.evaluation import check_gains, longest_time_constants
 from jaxnarx.evaluation.gain_signs import GainFinding
 from jaxnarx.evaluation.physics_checks import section_of_physics
 from jaxnarx.identification import Physics
+from jaxnarx.models import set_bounds
 from jaxnarx.regressors import LowPass, Variables
 
 VARIABLES = ((A, 0), (B, 1), (Y, 1))
@@ -97,6 +98,15 @@ def test_time_constants_are_those_of_poles_and_filters():
     assert longest_time_constants(fast, data)["y"] == pytest.approx(20.0)
     wild = network(models=[[((0, 3), 1.2), ((0, 1), 0.5)]])
     assert longest_time_constants(wild, data)["y"] == np.inf
+    drifts = set_bounds(network(models=[[((0, 3), 0.999), ((0, 1), 0.4)]]))
+    found = longest_time_constants(drifts, data)["y"]
+    assert found == pytest.approx(-time / np.log(0.999))
+    rows = [
+        dataclasses.replace(r, valid=r.valid & (np.arange(r.valid.shape[1]) < 2))
+        for r in data
+    ]
+    unseen = dataclasses.replace(data, records=tuple(rows))
+    assert longest_time_constants(drifts, unseen)["y"] == pytest.approx(found)
     slow = Physics(longest_time_constant=10.0)
     section = section_of_physics(fast, data, {"y": slow})
     assert section is not None and section.marked == ((0, 4),)

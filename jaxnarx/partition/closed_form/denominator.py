@@ -22,7 +22,7 @@ def denominator_from_times(
 def limit_poles(a: Float[np.ndarray, " _"], largest: float) -> Float[np.ndarray, " _"]:
     """A(q) whose poles have at most this modulus: those beyond move there; `a` itself
     where there are none."""
-    if not np.isfinite(largest):
+    if not (np.isfinite(largest) and np.isfinite(a).all()):
         return a
     poles = np.roots(a)
     size = np.abs(poles)
