@@ -277,7 +277,7 @@ def _groups(value: Any) -> dict[str, tuple[str, ...]]:
 
 
 def _physics(value: Any, channels: Channels) -> dict[str, Physics]:
-    """What is known of gains and time constants, by output."""
+    """Read what is known of gains and time constants, by output."""
     table = _require_type(value, dict, "physics")
     found = {}
     for name, own in table.items():

@@ -204,7 +204,7 @@ def _linearise(
 def section_of_physics(
     network: Network, data: Dataset, physics: Mapping[str, Physics]
 ) -> Section | None:
-    """What physics says of a network's outputs, and what contradicts it; None where
+    """Compare a network with what physics asks of its outputs; None where
     nothing is asked of them."""
     asked = {n: one for n, one in physics.items() if n in network.output_names}
     if not asked:
@@ -224,7 +224,7 @@ def section_of_physics(
         if one.wrong
     ]
     late = {name: is_slower(slow.get(name), one) for name, one in asked.items()}
-    told += [_told(name, slow[name]) for name in asked if late[name]]
+    told += [_tell_time_constant(name, slow[name]) for name in asked if late[name]]
     unknown = [n for n, one in found.items() if asked[n].signs and not one.known]
     if unknown:
         told.append(
@@ -241,8 +241,8 @@ def section_of_physics(
     return Section("Physics", tuple(told), header, rows, marked=wrong)
 
 
-def _told(name: str, slow: float) -> str:
-    """What a time constant has against physics."""
+def _tell_time_constant(name: str, slow: float) -> str:
+    """Tell what a time constant has against physics."""
     if np.isnan(slow):
         return f"Of {name} no time constant is known: it comes to rest nowhere."
     if np.isinf(slow):

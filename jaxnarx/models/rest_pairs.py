@@ -1,4 +1,4 @@
-"""What physics says of outputs at rest, as pairs of held inputs."""
+"""Pairs of held inputs between which physics says how outputs at rest move."""
 
 import dataclasses
 from collections.abc import Sequence
