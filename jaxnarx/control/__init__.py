@@ -6,6 +6,7 @@
 """
 
 from jaxnarx.control._close_loop import close_loop as close_loop
+from jaxnarx.control._export_controller import export_controller as export_controller
 from jaxnarx.control._mpc import mpc as mpc
 from jaxnarx.control._through_casadi import CasadiController as CasadiController
 from jaxnarx.control._through_casadi import CasadiState as CasadiState
@@ -29,6 +30,7 @@ __all__ = [
     "Decision",
     "OutputLimit",
     "close_loop",
+    "export_controller",
     "mpc",
     "through_casadi",
     "tune_effort",

@@ -50,6 +50,9 @@ bounds its errors."""
 ROUND_OFF = 0.01
 """Added to the square of the domain's index: at the middle it has no slope."""
 LEAST_CURVATURE = 1e-8
+AT_EDGE = 1e-9
+"""Share of its span up to which a command stands at a bound: beyond a trained range by
+round-off it would have another slope."""
 SOLVED = 1e4 * TOLERANCE
 """Residual up to which a quadratic program counts as solved."""
 
@@ -179,7 +182,8 @@ class Controller(eqx.Module):
             measured: The outputs now, NaN where one was not measured.
             reference: What the targets shall be, a row for each sample of the horizon,
                 which begins `first` samples from now, or one for all.
-            given: The inputs that are not set, from this sample on, alike.
+            given: The inputs that are not set, from this sample on, alike; one that is
+                no number is held as it was.
 
         Returns:
             The next state, and the decision.
@@ -235,7 +239,7 @@ def _begin(controller: Controller, u: Array, measured: Array) -> ControlState:
     now = u[np.array(controller.commands, int)]
     plan = jnp.broadcast_to(now[None], (controller.horizon, len(now)))
     begun = begin_estimate(known, x, d, states=controller.observe_states)
-    return ControlState(begun, u, plan, u[_used(controller)])
+    return ControlState(begun, u, plan, u[used_inputs(controller)])
 
 
 @program
@@ -248,6 +252,8 @@ def _step(
 ) -> tuple[ControlState, Decision]:
     network, known = controller.network, controller.statistics
     how = {"states": controller.observe_states}
+    held = state.u[np.array(controller.given, int)]
+    given = jnp.where(jnp.isfinite(given), given, held[None])
     now, lost = recover(network, known, state.estimate, state.u, measured, **how)
     now = correct(network, known, now, state.u, measured, **how)
     before = state.u[np.array(controller.commands, int)]
@@ -280,7 +286,9 @@ def decide(
     shifted = jnp.concatenate([plan[1:], plan[-1:]])
     slow = state.slow
     if controller.fade is not None:
-        slow = controller.fade * slow + (1 - controller.fade) * u[_used(controller)]
+        slow = (
+            controller.fade * slow + (1 - controller.fade) * u[used_inputs(controller)]
+        )
     solved, restarted = (jnp.asarray(flag) for flag in flags)
     decision = Decision(
         commands,
@@ -293,7 +301,7 @@ def decide(
     return ControlState(after, u, shifted, slow), decision
 
 
-def _used(controller: Controller) -> np.ndarray:
+def used_inputs(controller: Controller) -> np.ndarray:
     """Places of the inputs that the domain looks at."""
     own = controller.domain
     return np.array(() if own is None else own.inputs, int)
@@ -308,7 +316,7 @@ def domain_index(
     column, or none."""
     if controller.domain is None or controller.fade is None:
         return jnp.zeros((rows.shape[0], 0), rows.dtype)
-    fade, own = controller.fade, rows[:, _used(controller)]
+    fade, own = controller.fade, rows[:, used_inputs(controller)]
 
     def filtered(before, row):
         now = fade * before + (1 - fade) * row
@@ -388,7 +396,19 @@ def improve(
     own = np.array(controller.bounded, int)
     # The domain's is no limit of an output.
     excess = jnp.where(solved, excess, 0.0)[: len(own)] * controller.size[own]
-    return z[block_of(controller)] * controller.span[None], excess, solved
+    return plan_of(controller, z), excess, solved
+
+
+def plan_of(
+    controller: Controller, z: Float[Array, "blocks commands"]
+) -> Float[Array, "horizon commands"]:
+    """The commands of every sample, exactly at their bounds where they are near; their
+    slopes are those of any."""
+    plan = z[block_of(controller)] * controller.span[None]
+    for edge in (controller.low[None], controller.high[None]):
+        near = jnp.abs(plan - edge) <= AT_EDGE * controller.span[None]
+        plan = jnp.where(near, edge + (plan - jax.lax.stop_gradient(plan)), plan)
+    return plan
 
 
 def _prices(controller: Controller, soft: int) -> tuple[np.ndarray, np.ndarray]:
@@ -411,16 +431,15 @@ def _linearise(
     plan: Float[Array, "horizon commands"],
     given: Float[Array, "horizon given"],
 ) -> _Linearised:
-    span, size = controller.span[None], controller.size[None]
-    of_block = block_of(controller)
+    size = controller.size[None]
 
     def outputs(z):
-        plan = z[of_block] * span
+        plan = plan_of(controller, z)
         y = predict_outputs(controller, now, plan, given) / size
         rows = _all_inputs(controller, plan, given)
         return (jnp.concatenate([y, domain_index(controller, slow, rows)], axis=1),) * 2
 
-    z = plan[np.array(controller.blocks)] / span
+    z = plan[np.array(controller.blocks)] / controller.span[None]
     slope, y = jax.jacfwd(outputs, has_aux=True)(z)
     return _Linearised(z, y, slope.reshape(*y.shape, z.size))
 

@@ -44,6 +44,8 @@ OFFSET_SHARE = 0.5
 steps of e together: it is learnt in about twice the time in which e fades."""
 STATE_NOISE = 1e-3
 """Standard deviation of the steps of estimated states, as a share of their size."""
+UNSURE = 1e4
+"""Variance of a state that has just begun, in that of its steps."""
 NOT_MEASURED = 1e12
 """Factor on the variance of an output that has no number."""
 
@@ -78,8 +80,7 @@ def begin_estimate(
     states: bool,
 ) -> Estimate:
     """The estimate of a plant whose outputs are off by `error`, taken as an offset."""
-    # As unsure as of many steps.
-    known = [statistics.states * 1e4] if states else []
+    known = [statistics.states * UNSURE] if states else []
     known += [statistics.offset, statistics.steps]
     cov = jnp.diag(jnp.concatenate(known))
     return Estimate(x, error, jnp.zeros_like(error), cov)

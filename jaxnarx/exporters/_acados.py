@@ -10,24 +10,27 @@ left out. R. Verschueren and others, acados, Mathematical Programming Computatio
 """
 
 import ctypes
-import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from jaxnarx.exporters._casadi import name_states, without_gaps
-from jaxnarx.exporters.c99 import c_syntax, table_lines
+from jaxnarx.exporters.c99 import table_lines
 from jaxnarx.exporters.code import Syntax, comment, statements, value_text
 from jaxnarx.exporters.compilers import compiler, load_library
-from jaxnarx.exporters.derivatives import gradient
-from jaxnarx.exporters.form import Builder, Op, SampleProgram, Value
+from jaxnarx.exporters.form import Op, SampleProgram, Value
 from jaxnarx.exporters.proof import (
     DOUBLE_TOLERANCE,
     Case,
     ExportError,
     Runner,
     worst,
+)
+from jaxnarx.exporters.state_program import (
+    StateProgram,
+    name_states,
+    state_syntax,
+    without_gaps,
 )
 from jaxnarx.exporters.target import Files, Golden, Proof
 
@@ -38,85 +41,10 @@ SLOPES_TRIED = 3
 DIFFERENCE = 1e-5
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class StateProgram:
-    """A program with what is left of its state after a sample, and derivatives.
-
-    Row k of `jacobian` has the slopes of `after` k by inputs and state, `hessian` those
-    of the sum of lam times `after`; the multipliers are inputs behind the others.
-    """
-
-    program: SampleProgram
-    after: tuple[Value, ...]
-    jacobian: tuple[tuple[Value, ...], ...]
-    hessian: tuple[tuple[Value, ...], ...]
-    out_jacobian: tuple[tuple[Value, ...], ...]
-
-    @classmethod
-    def of(cls, program: SampleProgram) -> "StateProgram":
-        """The state form of a program, with derivatives as further operations."""
-        bare = without_gaps(program)
-        b = Builder.of(bare)
-        after = (*_next_lines(bare, b), *(s.source for s in bare.states))
-        count = len(bare.inputs)
-        sources = [Op("input", source=k) for k in range(count)]
-        sources += [
-            Op("delay", source=(line.name, k + 1))
-            for line in bare.delays
-            for k in range(line.length)
-        ]
-        sources += [Op("state", source=s.name) for s in bare.states]
-        lam = [b.op("input", source=count + k) for k in range(len(after))]
-        total = b.dot(lam, after)
-        found = cls(
-            bare,
-            after,
-            _slopes(b, after, sources),
-            _curvature(b, total, sources),
-            _slopes(b, bare.outputs, sources),
-        )
-        whole = dataclasses.replace(bare, ops=tuple(b.ops))
-        return dataclasses.replace(found, program=whole)
-
-
-def _slopes(
-    b: Builder, values: Sequence[Value], sources: Sequence[Op]
-) -> tuple[tuple[Value, ...], ...]:
-    """Rows of slopes. What is taken from a source may stand several times among the
-    operations: an input once as it is and once as the value that was held."""
-    places = [[n for n, op in enumerate(b.ops) if op == one] for one in sources]
-    every = [n for own in places for n in own]
-    rows = []
-    for value in values:
-        slope = dict(zip(every, gradient(b, value, every), strict=True))
-        rows.append(tuple(b.add(*(slope[n] for n in own)) for own in places))
-    return tuple(rows)
-
-
-def _curvature(
-    b: Builder, value: Value, sources: Sequence[Op]
-) -> tuple[tuple[Value, ...], ...]:
-    """The Hessian; what is below the diagonal is the same as above it."""
-    slopes = _slopes(b, [value], sources)[0]
-    upper = [_slopes(b, [one], sources[k:])[0] for k, one in enumerate(slopes)]
-    count = len(sources)
-    return tuple(
-        tuple(upper[min(i, j)][abs(i - j)] for j in range(count)) for i in range(count)
-    )
-
-
-def _next_lines(program: SampleProgram, b: Builder) -> Iterator[Value]:
-    """Entries of the delay lines behind a sample."""
-    for line in program.delays:
-        yield line.source
-        for k in range(line.length - 1):
-            yield b.op("delay", source=(line.name, k + 1))
-
-
 def acados_files(program: SampleProgram, golden: Golden) -> Files:
     """One file of C."""
     del golden
-    return {f"{program.name}_acados.c": _source(StateProgram.of(program))}
+    return {f"{program.name}_acados.c": _source(StateProgram.of(program, hessian=True))}
 
 
 def _source(form: StateProgram) -> str:
@@ -124,7 +52,7 @@ def _source(form: StateProgram) -> str:
     name, upper = program.name, program.name.upper()
     states, inputs = list(name_states(program)), program.inputs
     nx, nu, ny = len(states), len(inputs), len(program.outputs)
-    syntax = _syntax(program)
+    syntax = state_syntax(program)
     both = nu + nx
     x, u, p, lam = (nx, 1), (nu, 1), (0, 0), (nx, 1)
     jac, hess = (both, nx), (both, both)
@@ -181,24 +109,6 @@ def _source(form: StateProgram) -> str:
 def _flat(rows: Iterable[Iterable[Value]]) -> tuple[Value, ...]:
     """Rows of slopes one behind the other: columns of the transposed matrix."""
     return tuple(value for row in rows for value in row)
-
-
-def _syntax(program: SampleProgram) -> Syntax:
-    """Lines and states are entries of x; multipliers stand behind the inputs."""
-    syntax, place, at = c_syntax(program), {}, 0
-    for line in program.delays:
-        place[line.name] = at
-        at += line.length
-    for state in program.states:
-        place[state.name] = at
-        at += 1
-    count = len(program.inputs)
-    own = {
-        "input": lambda k: f"u[{k}]" if k < count else f"lam[{k - count}]",
-        "delay": lambda where: f"x[{place[where[0]] + where[1] - 1}]",
-        "state": lambda name: f"x[{place[name]}]",
-    }
-    return dataclasses.replace(syntax, source={**syntax.source, **own})
 
 
 def _beginnings(program: SampleProgram, syntax: Syntax) -> list[str]:

@@ -8,7 +8,6 @@ Diehl, CasADi, Mathematical Programming Computation 11, 2019; R. Verschueren and
 acados, Mathematical Programming Computation 14, 2022.
 """
 
-import dataclasses
 import importlib.util
 import json
 from collections.abc import Iterator, Sequence
@@ -18,11 +17,11 @@ from string import Template
 import numpy as np
 
 from jaxnarx.exporters.code import INFIX_TEMPLATES, Syntax, comment, digits
-from jaxnarx.exporters.entrance import HELD_PREFIX
-from jaxnarx.exporters.form import Op, ParameterTable, SampleProgram
+from jaxnarx.exporters.form import ParameterTable, SampleProgram
 from jaxnarx.exporters.proof import DOUBLE_TOLERANCE, Case, Runner, worst
 from jaxnarx.exporters.runners import import_page
 from jaxnarx.exporters.scripts import Language, number, sources, write_page
+from jaxnarx.exporters.state_program import name_states, without_gaps
 from jaxnarx.exporters.target import Files, Golden, Proof
 
 
@@ -42,33 +41,6 @@ def casadi_files(program: SampleProgram, golden: Golden) -> Files:
         ),
     }
     return {f"{program.name}_casadi.py": write_page(bare, CASADI, extra)}
-
-
-def without_gaps(program: SampleProgram) -> SampleProgram:
-    """The program for inputs that are finite: without what is kept for others, without
-    flags, and with lines and states that the outputs take alone."""
-    ops = list(program.ops)
-    for n, op in enumerate(ops):
-        if op.kind == "where" and _keeps_input(program, op):
-            ops[n] = dataclasses.replace(program.ops[op.args[1]])
-    bare = dataclasses.replace(program, ops=tuple(ops), flags={}, limited=())
-    needed = bare.state_closure([*bare.outputs])
-    used = {op.source for op in (ops[n] for n in needed) if op.source is not None}
-    names = {at[0] if isinstance(at, tuple) else at for at in used}
-    return dataclasses.replace(
-        bare,
-        delays=tuple(line for line in bare.delays if line.name in names),
-        states=tuple(state for state in bare.states if state.name in names),
-        tables=tuple(table for table in bare.tables if table.name in names),
-        fed=(),
-    )
-
-
-def _keeps_input(program: SampleProgram, op: Op) -> bool:
-    """Whether a value is an input, or its last finite value."""
-    new, old = (program.ops[n] for n in op.args[1:])
-    kept = old.kind == "state" and str(old.source).startswith(HELD_PREFIX)
-    return new.kind == "input" and kept
 
 
 def _syntax(program: SampleProgram) -> Syntax:
@@ -92,13 +64,6 @@ def _syntax(program: SampleProgram) -> Syntax:
 def _table(table: ParameterTable) -> list[str]:
     numbers = ", ".join(digits(x) for x in table.values.ravel())
     return [f"# {comment(table.about)}", f"{table.name} = [{numbers}]"]
-
-
-def name_states(program: SampleProgram) -> Iterator[str]:
-    """Names of the entries of the state, line by line."""
-    for line in program.delays:
-        yield from (f"{line.name}[t-{k + 1}]" for k in range(line.length))
-    yield from (state.name for state in program.states)
 
 
 def _unpack(program: SampleProgram) -> Iterator[str]:

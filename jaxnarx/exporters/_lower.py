@@ -217,7 +217,11 @@ class _Lowering:
         if self.network.plain or signal >= self.given:
             return raw
         b = self.b
-        return b.clip(raw, b.const(self.low[signal]), b.const(self.high[signal]))
+        low, high = b.const(self.low[signal]), b.const(self.high[signal])
+        # No clip, whose slope at the edge is zero: a command that stands there would
+        # seem to be without effect.
+        below, above = b.op("less", raw, low), b.op("less", high, raw)
+        return b.op("where", below, low, b.op("where", above, high, raw))
 
     def _scale_signal(self, signal: int, *, far: bool) -> Value:
         """Return a signal divided by its gain; `far`: how far it is beyond what is
@@ -383,7 +387,8 @@ class _Lowering:
         if own is not None:
             for g, row in enumerate(own):
                 members = np.flatnonzero(row).tolist()
-                value = self._group(members, phi, local)
+                # Of a group whose models are all switched off nothing depends.
+                value = self._group(members, phi, local) if members else b.const(0.0)
                 bounded, _ = self._bound_output(o, value, g)
                 self.lines[f"y_{name}_group{g + 1}"].source = bounded
                 if self._squares(o, g):

@@ -59,10 +59,15 @@ def _overshoot(
     if not moved:
         return b.const(0.0), {}
     low, high = (np.asarray(a, float) for a in (network.low, network.high))
-    found = [b.mul(b.op("state", source=OVERSHOOT_NAME), b.const(rate))]
+    before, none = b.op("state", source=OVERSHOOT_NAME), b.const(0.0)
+    found = []
     for s in moved:
         raw, scale = entrance.signal(s), b.const(1 / (high[s] - low[s]))
-        found.append(b.mul(b.op("sub", b.const(low[s]), raw), scale))
-        found.append(b.mul(b.op("sub", raw, b.const(high[s])), scale))
-    value = b.largest(found)
+        least, most = b.const(low[s]), b.const(high[s])
+        below = b.mul(b.op("sub", least, raw), scale)
+        above = b.mul(b.op("sub", raw, most), scale)
+        above = b.op("where", b.op("less", most, raw), above, none)
+        found.append(b.op("where", b.op("less", raw, least), below, above))
+    now, kept = b.largest(found), b.mul(before, b.const(rate))
+    value = b.op("where", b.op("less", kept, now), now, kept)
     return value, {OVERSHOOT_NAME: StateValue(OVERSHOOT_NAME, value, b.const(0.0))}

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from jaxnarx.exporters import form
 from jaxnarx.exporters.c_adapt import AdaptiveProgram
+from jaxnarx.exporters.c_control import ControlProgram
 from jaxnarx.exporters.compilers import compiler, compilers, load_library
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.proof import (
@@ -34,6 +35,12 @@ AdaptationRunner = Callable[
 ]
 """A function that learns from inputs and measured outputs, and gives the coefficients
 at the end, output by output, and what was reported."""
+ControllerRun = Callable[
+    [np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    Float[np.ndarray, "time commands"],
+]
+"""A function that gives commands for inputs to begin with, measured outputs of that and
+every other sample, and references and given inputs over each one's horizon."""
 
 
 def import_page(path: Path) -> Any:
@@ -249,5 +256,47 @@ void run(int n, const double *u, const double *y, double *theta, double *reporte
             reported[t * UPPER_REPORTED + k] = out.reported[k];
     }
     COPIES
+}
+"""
+
+
+def controller_runner(folder: Path, control: ControlProgram) -> ControllerRun:
+    """The controller in `folder`, compiled there."""
+    name = control.program.name
+    page = _CONTROLLER_PAGE.replace("NAME", name).replace("UPPER", name.upper())
+    harness = folder / "control_harness.c"
+    harness.write_text(page)
+    sources = [folder / f"{name}_control.c", harness]
+    call = load_library(sources, folder / f"{name}_control.so").run
+
+    def run(begun, measured, wanted, given):
+        rows = (begun, measured, wanted, given)
+        out = np.zeros((len(wanted), control.counts["COMMANDS"]))
+        arrays = [np.append(np.ravel(a).astype(float), 0.0) for a in rows] + [out]
+        pointers = (x.ctypes.data_as(ctypes.c_void_p) for x in arrays)
+        call(ctypes.c_int(len(wanted)), *pointers)
+        return out
+
+    return run
+
+
+_CONTROLLER_PAGE = """#include "NAME_control.h"
+void run(int n, const double *u, const double *y, const double *wanted,
+    const double *given, double *out);
+void run(int n, const double *u, const double *y, const double *wanted,
+    const double *given, double *out)
+{
+    static NAME_controller c;
+    NAME_decision now;
+    int t, k;
+    NAME_control_begin(&c, u, y);
+    for (t = 0; t < n; t++) {
+        NAME_control_step(&c, &y[(t + 1) * UPPER_OUTPUTS],
+            &wanted[t * UPPER_HORIZON * UPPER_TARGETS],
+            &given[t * UPPER_HORIZON * UPPER_GIVEN], &now);
+        for (k = 0; k < UPPER_COMMANDS; k++) {
+            out[t * UPPER_COMMANDS + k] = now.commands[k];
+        }
+    }
 }
 """

@@ -85,6 +85,7 @@ from jaxnarx.models.rest_pairs import make_pairs as make_pairs
 from jaxnarx.models.scheduling import scaled_points as scaled_points
 from jaxnarx.models.scheduling import scheduling_values as scheduling_values
 from jaxnarx.models.scheduling import weights_at as weights_at
+from jaxnarx.models.signed_root import LEAST_DISTANCE as LEAST_DISTANCE
 from jaxnarx.models.signed_root import SignedRoot as SignedRoot
 from jaxnarx.models.state import carried as carried
 from jaxnarx.models.state import driving_signals as driving_signals
@@ -92,6 +93,8 @@ from jaxnarx.models.state import filter_poles as filter_poles
 from jaxnarx.models.state import remember_outputs as remember_outputs
 from jaxnarx.models.state import require_computed as require_computed
 from jaxnarx.models.state import state_sizes as state_sizes
+from jaxnarx.models.state_form import REST_STEPS as REST_STEPS
+from jaxnarx.models.state_form import REST_TOLERANCE as REST_TOLERANCE
 from jaxnarx.models.state_form import StateForm as StateForm
 from jaxnarx.models.state_form import state_space as state_space
 from jaxnarx.models.storage import load as load

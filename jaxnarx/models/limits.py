@@ -159,17 +159,23 @@ def overshoot(
     beyond = beyond_range(network, inputs)
 
     def fade(before, now):
-        over = jnp.maximum(now, rate * before)
+        over = later_overshoot(now, before, rate)
         return over, over
 
     return jax.lax.scan(fade, jnp.zeros((), beyond.dtype), beyond)[1]
+
+
+def later_overshoot(now: Array, before: Array, rate: Any) -> Array:
+    """The overshoot a sample later."""
+    return jnp.where(now > rate * before, now, rate * before)
 
 
 def beyond_range(
     network: Network, inputs: Float[Array, "*rows inputs"]
 ) -> Float[Array, "*rows"]:
     """The largest distance of an input in use beyond its range, in widths of that
-    range; zero within, and of inputs that were constant in training."""
+    range; zero within, and of inputs that were constant in training. At the edge, where
+    a constant input always is, its slope is zero."""
     at = np.array(_inputs_used(network), int)
     low, high = network.low[at], network.high[at]
     moved = high > low
@@ -177,7 +183,8 @@ def beyond_range(
     values = inputs[..., at]
     lead = (1,) * (values.ndim - 1)
     low, high, width = (a.reshape(*lead, -1) for a in (low, high, width))
-    beyond = jnp.maximum(low - values, values - high) / width
+    below, above = low - values, values - high
+    beyond = jnp.where(below > 0, below, jnp.where(above > 0, above, 0.0)) / width
     return jnp.max(beyond, axis=-1, initial=0.0)
 
 

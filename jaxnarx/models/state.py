@@ -16,7 +16,12 @@ from jaxtyping import Array, Bool, Float
 
 from jaxnarx.errors import SpecError
 from jaxnarx.models.feedback import advance, depth, sources, widen
-from jaxnarx.models.limits import beyond_range, overshoot_decay, within_margin
+from jaxnarx.models.limits import (
+    beyond_range,
+    later_overshoot,
+    overshoot_decay,
+    within_margin,
+)
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import HOLD, LINEAR
 from jaxnarx.regressors import (
@@ -221,7 +226,7 @@ def advance_memory(
     lower, upper = (widen(network, b) for b in (network.lower, network.upper))
     y = jnp.clip(y, lower, upper) * size
     now = y if measured is None else measured
-    over = jnp.maximum(_overshoot_at(network, u), fixed.rate * past.overshoot)
+    over = later_overshoot(_overshoot_at(network, u), past.overshoot, fixed.rate)
     raw = tuple(
         jnp.concatenate([u[n : n + 1], line])[: len(line)]
         for n, line in enumerate(past.raw)

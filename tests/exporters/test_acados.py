@@ -12,9 +12,10 @@ from common import some
 import jaxnarx as jnx
 from jaxnarx.exporters import ExportError, export, lower, make_cases
 from jaxnarx.exporters._acados import AcadosLibrary, acados_files, prove_acados
-from jaxnarx.exporters._casadi import casadi_files, without_gaps
+from jaxnarx.exporters._casadi import casadi_files
 from jaxnarx.exporters.proof import make_steps
 from jaxnarx.exporters.runners import compiler, import_page
+from jaxnarx.exporters.state_program import without_gaps
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 KINDS = [n for n in test_targets.NETWORKS if n != "bounded"]
@@ -128,3 +129,19 @@ def test_one_that_does_something_else_is_found_out(tmp_path):
     (tmp_path / "m_acados.c").write_text(text.replace("m_theta_y[1]", "m_theta_y[0]"))
     with pytest.raises(ExportError, match="acados"):
         prove_acados(program, tmp_path, make_cases(net, program, make_steps(net)))
+
+
+@pytest.mark.parametrize("outside", ["hold", "linear"])
+def test_slopes_at_the_edge_are_those_of_the_network(outside, tmp_path):
+    """Where a command stands that a bound holds: neither zero nor that of a range that
+    grows when it is left."""
+    net = test_targets.narrowed(test_targets.NETWORKS["filters"](), outside)
+    library, form = library_of(net, tmp_path), jnx.state_space(net)
+    low, high = (np.asarray(a)[:2] for a in (net.low, net.high))
+    for u in (low, high, np.array([low[0], 0.5 * (low + high)[1]])):
+        x, _ = form.equilibrium(u)
+        d = np.asarray(form.jacobians(x, u)[3])
+        y = np.asarray(form.h(x, u))
+        found = library.call("out_fun_jac", library.begin(u, y), u)
+        np.testing.assert_allclose(found[0].ravel(), y, rtol=1e-9)
+        np.testing.assert_allclose(found[1][:2].T, d, rtol=1e-9, atol=1e-12)

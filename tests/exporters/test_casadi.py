@@ -8,9 +8,10 @@ import test_targets
 
 import jaxnarx as jnx
 from jaxnarx.exporters import ExportError, export, lower, make_cases
-from jaxnarx.exporters._casadi import casadi_files, prove_casadi, without_gaps
+from jaxnarx.exporters._casadi import casadi_files, prove_casadi
 from jaxnarx.exporters.proof import make_steps
 from jaxnarx.exporters.runners import import_page
+from jaxnarx.exporters.state_program import without_gaps
 
 ca = pytest.importorskip("casadi")
 STEPS = 6

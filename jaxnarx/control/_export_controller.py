@@ -1,0 +1,309 @@
+"""The verb `export_controller`: a predictive controller as C, proven."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxnarx.argument_checks import guard_arguments
+from jaxnarx.arrays import program
+from jaxnarx.checks import require
+from jaxnarx.control.controller import (
+    AT_EDGE,
+    DOMAIN_LINEAR,
+    DOMAIN_SQUARE,
+    LEAST_CURVATURE,
+    LINEAR,
+    ROUND_OFF,
+    SOLVED,
+    SQUARE,
+    Controller,
+    block_of,
+    used_inputs,
+)
+from jaxnarx.control.observer import NOT_MEASURED, UNSURE
+from jaxnarx.control.quadratic_program import MOST_STEPS, NEAR_BORDER, TOLERANCE
+from jaxnarx.exporters import (
+    ControllerRun,
+    ControlProgram,
+    Exported,
+    ExportError,
+    Loop,
+    compiler,
+    control_files,
+    controller_runner,
+    identifiers,
+    lower,
+    write_files,
+)
+from jaxnarx.files import TemporaryFolder
+from jaxnarx.models import (
+    LEAST_DISTANCE,
+    REST_STEPS,
+    REST_TOLERANCE,
+    StateForm,
+    depth,
+    driving_signals,
+    fed_back_variables,
+    sources,
+)
+
+AGREEMENT = 1e-6
+"""Largest difference of a command in shares of its range; quadratic programs are solved
+to a thousandth of that."""
+STRETCHES, SAMPLES = 8, 25
+"""Of the proof, each begun anew: round-off grows in a loop that is not stable."""
+OFF, NOISE, MISSING = 0.2, 0.02, 0.05
+"""What the proof's plant is off by, and its noise, in quarters of the outputs' ranges,
+and the share of measurements that are missing."""
+
+
+@guard_arguments
+def export_controller(controller: Controller, *, name: str = "model") -> Exported:
+    """Export a controller as C99 that decides the same, sample by sample.
+
+    `NAME_control_begin(&c, u, measured)` and `NAME_control_step(&c, measured,
+    reference, given, &out)` are `controller.begin` and `controller.step`: observer,
+    horizon with exact slopes and quadratic program in double precision, nothing
+    allocated and every loop bounded by a count. The files are compiled, and run beside
+    the controller, eight times for 25 samples, with random references and inputs within
+    the trained ranges, and outputs that are off by a constant, have noise and are
+    missing now and then.
+
+    Args:
+        controller: From `jnx.control.mpc`.
+        name: Name of the files and their functions.
+
+    Returns:
+        `NAME_control.h` and `NAME_control.c`; `difference` is that of the commands, in
+        shares of their ranges, `program` that of the model. Without a C compiler
+        `left_out` says that nothing was run.
+
+    Raises:
+        ExportError: the C does not compile, or decides otherwise.
+
+    Example:
+        free = {"a": jnx.control.Command(rate=2.0)}
+        controller = jnx.control.mpc(network, free, ["y"], horizon=8).value
+        found = jnx.control.export_controller(controller, name="engine")
+        print(found.files["engine_control.h"])
+    """
+    control = control_program(controller, name)
+    files = control_files(control)
+    if compiler() is None:
+        left_out = ("c, controller: there is no C compiler here",)
+        return Exported(control.program, files, {}, left_out, {})
+    with TemporaryFolder() as place:
+        write_files(Path(place), files)
+        off = _difference(controller, controller_runner(Path(place), control))
+    if not off <= AGREEMENT:
+        raise ExportError(
+            f"commands of the C differ from those of the controller by {off:.3g} of "
+            f"their ranges, more than {AGREEMENT:g}. In a loop that is not stable "
+            "round-off grows: look at a closed loop"
+        )
+    return Exported(control.program, files, {"c, controller": off}, (), {})
+
+
+def control_program(controller: Controller, name: str) -> ControlProgram:
+    """What a controller asks of a program, as exports take it."""
+    network = controller.network
+    program_ = lower(network, name, index=False, slopes=False)
+    require(
+        len(network.modelled) == len(program_.outputs),
+        "controller",
+        "the network reports other outputs than it models",
+    )
+    count, soft = len(network.modelled), list(controller.bounded)
+    own = np.array(controller.bounded, int)
+    size = np.asarray(controller.size)
+    high = (np.asarray(controller.ceiling) - np.asarray(controller.guard)) / size[own]
+    low = (np.asarray(controller.floor) + np.asarray(controller.guard)) / size[own]
+    linear, square = [LINEAR] * len(soft), [SQUARE] * len(soft)
+    used, fade = used_inputs(controller).tolist(), np.zeros(0)
+    whiten, middle = np.zeros(0), np.zeros(0)
+    if controller.domain is not None and controller.fade is not None:
+        domain, fade = controller.domain, np.asarray(controller.fade)
+        whiten = np.asarray(domain.whiten) / np.asarray(domain.spread)[None]
+        whiten = (whiten / np.asarray(domain.border)[2]).ravel()
+        middle = np.asarray(domain.middle)
+        soft, high, low = [*soft, count], np.append(high, 1.0), np.append(low, -np.inf)
+        linear, square = [*linear, DOMAIN_LINEAR], [*square, DOMAIN_SQUARE]
+    known, commands = controller.statistics, list(controller.commands)
+    return ControlProgram(
+        program=program_,
+        inputs=tuple(controller.input_names),
+        counts={
+            "HORIZON": controller.horizon,
+            "FIRST": controller.first,
+            "ROUNDS": controller.rounds,
+            "BLOCKS": len(controller.blocks),
+            "COMMANDS": len(commands),
+            "GIVEN": len(controller.given),
+            "TARGETS": len(controller.targets),
+            "LIMITS": len(controller.bounded),
+            "MOST_STEPS": MOST_STEPS,
+            "REST_STEPS": REST_STEPS,
+        },
+        constants={
+            "AT_EDGE": AT_EDGE,
+            "LEAST_CURVATURE": LEAST_CURVATURE,
+            "LEAST_ROOT": LEAST_DISTANCE**0.5,
+            "NEAR_BORDER": NEAR_BORDER,
+            "NOT_MEASURED": NOT_MEASURED,
+            "REST_TOLERANCE": REST_TOLERANCE,
+            "ROUND_OFF": ROUND_OFF,
+            "SOLVED": SOLVED,
+            "TOLERANCE": TOLERANCE,
+        },
+        integers={
+            "block_of": block_of(controller).tolist(),
+            "block_start": list(controller.blocks),
+            "command_at": commands,
+            "given_at": list(controller.given),
+            "target_at": list(controller.targets),
+            "soft_column": soft,
+            "used_at": used,
+            "used_command": [commands.index(c) if c in commands else -1 for c in used],
+        },
+        reals={
+            "low": np.asarray(controller.low),
+            "high": np.asarray(controller.high),
+            "largest_move": np.asarray(controller.move),
+            "effort": np.asarray(controller.effort),
+            "span": np.asarray(controller.span),
+            "weight_of": np.asarray(controller.weight),
+            "size": size,
+            "soft_high": high,
+            "soft_low": low,
+            "soft_linear": np.array(linear),
+            "soft_square": np.array(square),
+            "pole": np.asarray(known.pole),
+            "noise_variance": np.asarray(known.noise),
+            "offset_variance": np.asarray(known.offset),
+            "fading_variance": np.asarray(known.steps),
+            "fade": fade,
+            "whiten": whiten,
+            "middle_of": middle,
+        },
+        loops=_loops(controller),
+        observe_states=controller.observe_states,
+        unsure=UNSURE,
+        bounds=_feedback_bounds(controller),
+    )
+
+
+def _loops(controller: Controller) -> tuple[Loop, ...]:
+    """What the network carries, by the delay lines of its program."""
+    network = controller.network
+    names, lags = identifiers(network.computed_names), depth(network)
+    low, high, gain = (np.asarray(a) for a in (network.low, network.high, network.gain))
+    variances = np.asarray(controller.statistics.states).reshape(-1, max(lags, 1))
+    groups: dict[int, int] = {}
+    found = []
+    for n, o in enumerate(np.asarray(sources(network)).tolist() if lags else []):
+        line, signal, rooted = f"y_{names[o]}", network.signals[o], False
+        if n >= len(network.models):
+            groups[o] = groups.get(o, 0) + 1
+            line, root = f"{line}_group{groups[o]}", network.models[o].root
+            rooted = root is not None and bool(root.squares[groups[o] - 1])
+        output = o if n < len(network.modelled) else None
+        middle = 0.5 * (low[signal] + high[signal])
+        own = tuple(float(v) for v in variances[n])
+        size = float(gain[signal])
+        found.append(Loop(line, output, size, float(middle), rooted, own))
+    return tuple(found)
+
+
+def _feedback_bounds(
+    controller: Controller,
+) -> tuple[tuple[float, float, bool], ...] | None:
+    """Bounds of the feedback, where a run that is at them begins anew; see
+    `jaxnarx.control.observer.recover`."""
+    network = controller.network
+    fed_back = fed_back_variables(network.variables, network.signals)
+    if len(sources(network)) != len(network.modelled) or not fed_back:
+        return None
+    gain = np.asarray(network.gain)[list(network.signals)]
+    low, high = np.asarray(network.lower) * gain, np.asarray(network.upper) * gain
+    free = ~np.asarray(network.saturates) & (low < high)
+    rows = zip(low.tolist(), high.tolist(), free.tolist(), strict=True)
+    return tuple((a, b, bool(c)) for a, b, c in rows)
+
+
+def _difference(controller: Controller, run: ControllerRun) -> float:
+    """The largest difference of a command over the runs of a proof, each as far as all
+    quadratic programs are solved; ExportError where none is."""
+    apart = []
+    for seed in range(STRETCHES):
+        begun, wanted, given, off = scenario = _scenario(controller, seed)
+        told = _drive(controller, *map(jnp.asarray, scenario))
+        measured, expected, solved = (np.asarray(a) for a in told)
+        found = run(begun, measured, wanted, given)
+        off = np.abs(found - expected) / np.asarray(controller.span)
+        apart.append(off[np.logical_and.accumulate(solved)])
+    every = np.concatenate(apart)
+    if not len(every):
+        raise ExportError(
+            "no quadratic program of the proof has a solution: look at a closed loop"
+        )
+    return float(np.max(np.where(np.isnan(every), np.inf, every)))
+
+
+def _scenario(controller: Controller, seed: int) -> tuple[np.ndarray, ...]:
+    """Inputs to begin with, references and given inputs over the horizon of every
+    sample, and what measurements are off by."""
+    network, random = controller.network, np.random.default_rng(seed)
+    low, high = np.asarray(network.low), np.asarray(network.high)
+    signals = np.array(driving_signals(network), int)
+    outputs = np.array(network.signals)[: len(network.modelled)]
+    ahead = np.arange(SAMPLES)[:, None] + np.arange(controller.horizon)[None]
+
+    def steps(columns, hold):
+        """Levels in the middle half of the ranges, by the samples of every horizon."""
+        levels = random.uniform(
+            0.25, 0.75, (int(ahead.max()) // hold + 1, len(columns))
+        )
+        levels = low[columns] + (high - low)[columns] * levels
+        return levels[ahead // hold]
+
+    wanted = steps(outputs[list(controller.targets)], 10)
+    given = steps(signals[list(controller.given)], 15)
+    noise = random.normal(size=(SAMPLES + 1, len(outputs)))
+    noise = np.where(random.uniform(size=noise.shape) < MISSING, np.nan, noise)
+    begun = low[signals] + (high - low)[signals] * random.uniform(0.25, 0.75)
+    begun[list(controller.given)] = given[0, 0]
+    kind = controller.low.dtype
+    off = np.asarray(controller.size) * (OFF + NOISE * noise)
+    return tuple(a.astype(kind) for a in (begun, wanted, given, off))
+
+
+@program
+def _drive(
+    controller: Controller, begun: Array, wanted: Array, given: Array, off: Array
+) -> tuple[Array, Array, Array]:
+    """What is measured of the controller's own network, its commands, and whether each
+    was a solution, from a state of rest."""
+    network = controller.network
+    commands, others = (
+        np.array(controller.commands, int),
+        np.array(controller.given, int),
+    )
+    x, rests = StateForm(network).equilibrium(begun)
+    first = network.step(x, begun)[1] + off[0]
+
+    def sample(carry, rows):
+        x, state, last = carry
+        wanted, given, off = rows
+        measured = network.step(x, last)[1] + off
+        state, decision = controller.step(state, measured, wanted, given)
+        u = last.at[commands].set(decision.commands).at[others].set(given[0])
+        told = measured, decision.commands, decision.solved
+        return (network.step(x, u)[0], state, u), told
+
+    start = x, controller.begin(begun, first), begun
+    rows = wanted, given, off[1:]
+    measured, decided, solved = jax.lax.scan(sample, start, rows)[1]
+    return jnp.concatenate([first[None], measured]), decided, solved & rests

@@ -1,0 +1,168 @@
+"""A controller in C beside the controller, over networks of every kind."""
+
+import ctypes
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from calibration_problems import network_and_cycle
+from common import some
+from control_problems import linear
+from kinds import problem
+
+import jaxnarx as jnx
+from jaxnarx.control import Command, OutputLimit, _export_controller, mpc
+from jaxnarx.control._export_controller import (
+    AGREEMENT,
+    control_program,
+    export_controller,
+)
+from jaxnarx.control.controller import plan_of
+from jaxnarx.exporters import ExportError, control_files, write_files
+from jaxnarx.exporters.compilers import compiler, load_library
+from jaxnarx.exporters.state_program import name_states, without_gaps
+from jaxnarx.models import hold_to_range
+
+with_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+FREE = {"force": Command(low=-1.0, high=1.0, rate=1.0, effort=0.03)}
+STABLE = "one model", "coupled", "sum", "filters", "filters beyond", "hidden"
+"""Kinds of networks whose loops do not amplify round-off."""
+
+
+def controller_of(name: str, **more):
+    """A controller of a network that a run distinguishes, with a limit."""
+    network = problem(name)[0]
+    command, *_ = jnx.state_space(network).inputs
+    last = network.output_names[-1]
+    most = float(network.high[network.signals[len(network.modelled) - 1]])
+    limits = {last: OutputLimit(at_most=most)}
+    free = {command: Command()}
+    return mpc(network, free, [network.output_names[0]], limits, horizon=8, **more)
+
+
+class Library:
+    """The C of a controller, its memory within reach."""
+
+    def __init__(self, controller, folder) -> None:
+        control = control_program(controller, "m")
+        write_files(folder, control_files(control))
+        self.library = load_library([folder / "m_control.c"], folder / "m.so")
+        self.memory = np.zeros(100_000)
+        self.decision = np.zeros(100)
+        self.commands = len(controller.commands)
+        names = name_states(without_gaps(control.program))
+        self.fed_back = [k for k, name in enumerate(names) if name.startswith("y_")]
+
+    def _call(self, what: str, *rows) -> None:
+        kept = [np.append(np.ravel(r).astype(float), 0.0) for r in rows]
+        arrays = [self.memory, *kept]
+        if what == "step":
+            arrays.append(self.decision)
+        getattr(self.library, f"m_control_{what}")(
+            *(a.ctypes.data_as(ctypes.c_void_p) for a in arrays)
+        )
+
+    def begin(self, u, measured) -> None:
+        self._call("begin", u, measured)
+
+    def step(self, measured, reference, given) -> tuple[np.ndarray, np.ndarray]:
+        """Commands, and whether it was solved and begun anew."""
+        self._call("step", measured, reference, given)
+        flags = self.decision.view(np.int32)
+        at = 2 * (self.commands + 1 + 2)  # one limit or none, two outputs
+        return self.decision[: self.commands].copy(), flags[at : at + 2].copy()
+
+
+@with_compiler
+@pytest.mark.parametrize("name", some(STABLE, "coupled", "sum"))
+def test_it_decides_as_the_controller_does(name):
+    found = export_controller(controller_of(name).value, name="m")
+    assert found.difference["c, controller"] <= AGREEMENT
+    assert set(found.files) == {"m_control.h", "m_control.c"}
+
+
+@with_compiler
+@pytest.mark.parametrize("more", [{}, {"observe_states": False, "rounds": 2}])
+def test_so_does_one_of_bounds_rates_limits_and_a_domain(more):
+    network, _ = network_and_cycle()
+    free = {"c": Command(low=-0.9, high=0.8, rate=0.6, effort=0.1)}
+    limit = {"heat": OutputLimit(at_most=0.1)}
+    found = mpc(network, free, {"y": 2.0}, limit, **more).value
+    assert export_controller(found).difference["c, controller"] <= AGREEMENT
+    held = dataclasses.replace(found, network=hold_to_range(network))
+    assert export_controller(held).difference["c, controller"] <= AGREEMENT
+
+
+@with_compiler
+def test_the_filter_sees_values_where_the_model_keeps_roots(tmp_path):
+    """A state of the C is the root of what the controller estimates."""
+    controller = controller_of("root", observe_states=True).value
+    network, c = controller.network, Library(controller, tmp_path)
+    middle = 0.5 * (np.asarray(network.low) + np.asarray(network.high))
+    u, measured = middle[:2], middle[2:3]
+    state = controller.begin(u, measured)
+    c.begin(u, measured)
+    for t in range(4):
+        measured = middle[2:3] + 0.3 * t
+        state, decision = controller.step(state, measured, middle[2:3], middle[1:2])
+        commands, _ = c.step(measured, np.repeat(middle[2], 8), np.repeat(middle[1], 8))
+        np.testing.assert_allclose(commands, decision.commands, atol=1e-9)
+
+
+@with_compiler
+def test_it_begins_anew_and_holds_what_is_missing(tmp_path):
+    """Both at once: a run at its bounds, and an input that is no number."""
+    controller = mpc(linear(), FREE, ["speed"], horizon=8).value
+    c, names = Library(controller, tmp_path), jnx.state_space(linear()).names
+    state = controller.begin([0.2, -0.1], [0.1, 0.1])
+    c.begin([0.2, -0.1], [0.1, 0.1])
+    at = [k for k, name in enumerate(names) if name.startswith(("speed", "heat"))]
+    far = state.estimate.x.at[np.array(at)].set(1e3)
+    lost = state._replace(estimate=state.estimate._replace(x=far))
+    c.memory[c.fed_back] = 1e6
+    given = np.full((8, 1), np.nan)
+    reference = np.full((8, 1), 0.1)
+    for measured in ([0.1, 0.1], [0.12, np.nan]):
+        lost, decision = controller.step(lost, measured, reference, given)
+        commands, (solved, restarted) = c.step(measured, reference, given)
+        assert np.isfinite(commands).all() and solved
+        assert bool(decision.restarted) == bool(restarted) == (measured[0] == 0.1)
+        assert float(lost.u[1]) == -0.1
+
+
+@with_compiler
+def test_one_that_decides_otherwise_is_found_out(monkeypatch):
+    def bent(control):
+        files = control_files(control)
+        text = str(files["model_control.c"])
+        assert "price * c->change[i];" in text
+        files["model_control.c"] = text.replace(
+            "price * c->change[i];", "1.01 * price * c->change[i];"
+        )
+        return files
+
+    monkeypatch.setattr(_export_controller, "control_files", bent)
+    controller = mpc(linear(), FREE, ["speed"], horizon=8).value
+    with pytest.raises(ExportError, match="differ from those of the controller"):
+        export_controller(controller)
+
+
+def test_without_a_compiler_it_is_written_and_says_so(monkeypatch):
+    monkeypatch.setattr(_export_controller, "compiler", lambda: None)
+    controller = mpc(linear(), FREE, ["speed"], horizon=8).value
+    found = export_controller(controller, name="plant 1")
+    assert "no C compiler" in found.left_out[0]
+    header = str(found.files["plant_1_control.h"])
+    assert "commands: force" in header and "given: load" in header
+    assert "malloc" not in str(found.files["plant_1_control.c"])
+
+
+def test_commands_near_their_bounds_stand_there():
+    """Beyond a trained range by round-off an input would have another slope."""
+    controller = mpc(linear(), {"force": Command()}, ["speed"], horizon=4).value
+    high = float(controller.high[0])
+    z = jnp.full((4, 1), high / float(controller.span[0]) * (1 + 1e-12))
+    assert np.all(np.asarray(plan_of(controller, z)) == high)
+    inside = np.asarray(plan_of(controller, 0.5 * z))
+    np.testing.assert_allclose(inside, 0.5 * high, rtol=1e-9)
