@@ -7,7 +7,7 @@ IPOPT by `jnx.control.through_casadi`, single shooting in the same blocks, from 
 start, with exact second derivatives, from the same state in every sample. How far our
 plan is from IPOPT's after one step of sequential quadratic programming, and after
 twelve, stands beside it. Our own default, which estimates states and keeps to the
-network's domain, is timed in a loop too.
+network's domain, is timed in a loop too, and so is the C of either.
 
     python experiments/control/speed.py [--samples 200]
 """
@@ -16,6 +16,7 @@ import argparse
 import dataclasses
 import functools
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,8 @@ import numpy as np
 
 import jaxnarx as jnx
 from jaxnarx.control import Controller
+from jaxnarx.control._export_controller import control_program
+from jaxnarx.exporters import controller_runner, write_files
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / "benchmarks"), str(HERE)]
@@ -34,6 +37,31 @@ from tracking import BEDS, LENGTH, Bench  # noqa: E402 # pyright: ignore
 
 TASK = "spark and throttle"
 ROUNDS = 12
+
+
+def time_c(
+    controller: Controller, name: str, rows: tuple[np.ndarray, ...], samples: int
+) -> dict[str, float]:
+    """Seconds to write, compile and prove the C, and its time a step."""
+    begun = time.perf_counter()
+    found = jnx.control.export_controller(controller)
+    built = time.perf_counter() - begun
+    u, y, wanted, given = rows
+    shape = controller.horizon, 1
+    wanted, given = (np.tile(a[:samples, None], shape) for a in (wanted, given))
+    with tempfile.TemporaryDirectory() as place:
+        write_files(Path(place), found.files)
+        run = controller_runner(Path(place), control_program(controller, "model"))
+        spent = []
+        for _ in range(5):
+            begun = time.perf_counter()
+            run(u, np.concatenate([y[:1], y[:samples]]), wanted, given)
+            spent.append(time.perf_counter() - begun)
+    return {
+        f"C, {name}: a step [ms]": 1e3 * min(spent) / samples,
+        f"C, {name}: written, compiled, proven [s]": built,
+        f"C, {name}: commands off by, shares of ranges": max(found.difference.values()),
+    }
 
 
 def main() -> None:
@@ -85,6 +113,8 @@ def main() -> None:
             run(state).block_until_ready()
             spent.append(time.perf_counter() - begun)
         figures[f"a step, {name} [ms]"] = 1e3 * min(spent) / samples
+
+        figures |= time_c(one, name, (row.u[0], y, wanted, given), samples)
 
     rival, span = jnx.control.through_casadi(ours), np.asarray(ours.span)
     state, other = first, rival.begin(row.u[0], y[0])

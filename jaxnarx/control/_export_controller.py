@@ -30,7 +30,7 @@ from jaxnarx.exporters import (
     ControlProgram,
     Exported,
     ExportError,
-    Loop,
+    FeedbackLine,
     compiler,
     control_files,
     controller_runner,
@@ -195,7 +195,7 @@ def control_program(controller: Controller, name: str) -> ControlProgram:
     )
 
 
-def _loops(controller: Controller) -> tuple[Loop, ...]:
+def _loops(controller: Controller) -> tuple[FeedbackLine, ...]:
     """What the network carries, by the delay lines of its program."""
     network = controller.network
     names, lags = identifiers(network.computed_names), depth(network)
@@ -213,7 +213,7 @@ def _loops(controller: Controller) -> tuple[Loop, ...]:
         middle = 0.5 * (low[signal] + high[signal])
         own = tuple(float(v) for v in variances[n])
         size = float(gain[signal])
-        found.append(Loop(line, output, size, float(middle), rooted, own))
+        found.append(FeedbackLine(line, output, size, float(middle), rooted, own))
     return tuple(found)
 
 

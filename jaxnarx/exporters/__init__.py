@@ -10,7 +10,7 @@ from jaxnarx.exporters._lower import lower as lower
 from jaxnarx.exporters.c_adapt import AdaptiveProgram as AdaptiveProgram
 from jaxnarx.exporters.c_adapt import adaptive_files as adaptive_files
 from jaxnarx.exporters.c_control import ControlProgram as ControlProgram
-from jaxnarx.exporters.c_control import Loop as Loop
+from jaxnarx.exporters.c_control import FeedbackLine as FeedbackLine
 from jaxnarx.exporters.c_control import control_files as control_files
 from jaxnarx.exporters.calibration import map_of as map_of
 from jaxnarx.exporters.calibration import read_dcm as read_dcm

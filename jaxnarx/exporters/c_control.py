@@ -21,7 +21,7 @@ from jaxnarx.exporters.target import Files
 
 
 @dataclasses.dataclass(frozen=True)
-class Loop:
+class FeedbackLine:
     """A delay line of values that are fed back: of which output, or none, the gain they
     are divided by, the middle of their range, the variances of what it holds, and
     whether it holds roots of values."""
@@ -51,7 +51,7 @@ class ControlProgram:
     constants: Mapping[str, float]
     integers: Mapping[str, Sequence[int]]
     reals: Mapping[str, np.ndarray]
-    loops: tuple[Loop, ...]
+    loops: tuple[FeedbackLine, ...]
     observe_states: bool
     unsure: float
     bounds: tuple[tuple[float, float, bool], ...] | None
