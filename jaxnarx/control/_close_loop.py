@@ -279,10 +279,9 @@ def _describe(value: ControlledRun) -> str:
     failed = sum(int((~s).sum()) for s in value.solved)
     if failed:
         told.append(f"in {failed} samples the plan of before went on: no solution")
-    lost = sum(int(r.sum()) for r in value.restarted)
-    if lost:
+    if value.restarts:
         told.append(
-            f"the network's run came to its bounds {count(lost, 'time')} and began "
-            "anew from what was measured: look at its free run"
+            "the network's run came to its bounds and began anew from what was "
+            f"measured, {count(value.restarts, 'time')}: look at its free run"
         )
     return "; ".join(told)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxnarx.data import Channel
-from jaxnarx.formatting import align_columns, brief, page
+from jaxnarx.formatting import align_columns, brief, count, page
 from jaxnarx.metrics import nrmse
 
 NEAR = 1e-9
@@ -91,6 +91,11 @@ class ControlledRun:
         """Share of samples in which a command stands at one of its bounds."""
         return np.concatenate(self.at_range).mean(axis=0)
 
+    @property
+    def restarts(self) -> int:
+        """How often the network's run began anew, over all records."""
+        return sum(int(r.sum()) for r in self.restarted)
+
     def __str__(self) -> str:
         """Tracking errors, limits and commands."""
         errors = self.nrmse()
@@ -118,6 +123,9 @@ class ControlledRun:
                 )
         for own, share in zip(self.command_channels, self.at_bounds(), strict=True):
             parts.append(f"{own.name}: at a bound in {100 * share:.1f} % of samples")
+        if self.restarts:
+            told = count(self.restarts, "time")
+            parts.append(f"the network's run began anew {told}")
         return "\n".join(parts)
 
     def to_dict(self) -> dict[str, Any]:
@@ -129,6 +137,7 @@ class ControlledRun:
                 for o, own in enumerate(self.output_channels)
                 if np.isfinite([self.floor[o], self.ceiling[o]]).any()
             },
+            "restarts": self.restarts,
             "at_bounds": {
                 own.name: float(share)
                 for own, share in zip(
