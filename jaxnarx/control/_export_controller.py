@@ -47,6 +47,7 @@ from jaxnarx.models import (
     depth,
     driving_signals,
     fed_back_variables,
+    middle_inputs,
     sources,
 )
 
@@ -187,6 +188,7 @@ def control_program(controller: Controller, name: str) -> ControlProgram:
             "fade": fade,
             "whiten": whiten,
             "middle_of": middle,
+            "input_middle": np.asarray(middle_inputs(network)),
         },
         loops=_loops(controller),
         observe_states=controller.observe_states,

@@ -36,7 +36,7 @@ from jaxnarx.control.observer import (
     recover,
 )
 from jaxnarx.control.quadratic_program import TOLERANCE, solve_quadratic
-from jaxnarx.models import Domain, Network, driving_signals
+from jaxnarx.models import Domain, Network, driving_signals, middle_inputs
 
 Values = Array | np.ndarray | Sequence[float | int]
 
@@ -164,7 +164,10 @@ class Controller(eqx.Module):
         u: Values,
         measured: Values,
     ) -> ControlState:
-        """The state of a plant at rest under these inputs, with these outputs."""
+        """The state of a plant at rest under these inputs, with these outputs.
+
+        Of an input that is no number the middle of its trained range is taken.
+        """
         row = jnp.asarray(u, self.low.dtype)
         return _begin(self, row, jnp.asarray(measured, row.dtype))
 
@@ -233,6 +236,7 @@ def _all_inputs(
 @program
 def _begin(controller: Controller, u: Array, measured: Array) -> ControlState:
     network, known = controller.network, controller.statistics
+    u = jnp.where(jnp.isfinite(u), u, middle_inputs(network).astype(u.dtype))
     x = network.init("steady", u[None])
     y = network.step(x, u)[1]
     d = jnp.where(jnp.isfinite(measured), measured - y, 0.0)

@@ -186,23 +186,23 @@ void NAME_control_begin(NAME_controller *c, const double *u, const double *measu
 {
     int k;
     int n;
-    find_rest(c, u);
-    sample(c->x, u, c->next, c->y, c->fed);
+    for (k = 0; k < INPUTS; k++) {
+        c->u[k] = isfinite(u[k]) ? u[k] : input_middle[k];
+    }
+    find_rest(c, c->u);
+    sample(c->x, c->u, c->next, c->y, c->fed);
     for (k = 0; k < OUTPUTS; k++) {
         c->offset[k] = isfinite(measured[k]) ? (measured[k] - c->y[k]) : 0.0;
         c->fading[k] = 0.0;
     }
     begin_covariance(c);
-    for (k = 0; k < INPUTS; k++) {
-        c->u[k] = u[k];
-    }
     for (k = 0; k < HORIZON; k++) {
         for (n = 0; n < COMMANDS; n++) {
-            c->plan[(k * COMMANDS) + n] = u[command_at[n]];
+            c->plan[(k * COMMANDS) + n] = c->u[command_at[n]];
         }
     }
     for (k = 0; k < USED; k++) {
-        c->slow[k] = u[used_at[k]];
+        c->slow[k] = c->u[used_at[k]];
     }
 }
 

@@ -96,6 +96,7 @@ from jaxnarx.models.state import state_sizes as state_sizes
 from jaxnarx.models.state_form import REST_STEPS as REST_STEPS
 from jaxnarx.models.state_form import REST_TOLERANCE as REST_TOLERANCE
 from jaxnarx.models.state_form import StateForm as StateForm
+from jaxnarx.models.state_form import middle_inputs as middle_inputs
 from jaxnarx.models.state_form import state_space as state_space
 from jaxnarx.models.storage import load as load
 from jaxnarx.models.storage import load_about as load_about

@@ -62,7 +62,7 @@ def _step(network: Network, x: Array, u: Array, rate: Array) -> tuple[Array, Arr
 def init(network: Network, start: Any, u: Any) -> Float[Array, " states"]:
     """The state before the first sample that is computed; see `Network.init`."""
     if isinstance(start, str):
-        row = _middle(network) if u is None else jnp.atleast_2d(u)[0]
+        row = middle_inputs(network) if u is None else jnp.atleast_2d(u)[0]
         row = _row(network, row)
         if start == ZEROS:
             return _zero_memory(network, row)
@@ -76,7 +76,7 @@ def init(network: Network, start: Any, u: Any) -> Float[Array, " states"]:
     start = _check_start(network, start)
     if u is None:
         u = jnp.broadcast_to(
-            _middle(network), (len(start), len(driving_signals(network)))
+            middle_inputs(network), (len(start), len(driving_signals(network)))
         )
     u = _rows(network, u)
     if len(u) != len(start):
@@ -312,7 +312,8 @@ def state_space(network: Network) -> StateForm:
     return StateForm(network)
 
 
-def _middle(network: Network) -> Float[Array, " driving_signals"]:
+def middle_inputs(network: Network) -> Float[Array, " driving_signals"]:
+    """The middle of every input's trained range."""
     at = np.array(driving_signals(network), int)
     return (0.5 * (network.low + network.high))[at]
 

@@ -132,6 +132,22 @@ def test_it_begins_anew_and_holds_what_is_missing(tmp_path):
 
 
 @with_compiler
+def test_both_begin_where_an_input_is_missing(tmp_path):
+    """At the middle of its trained range, and with a reference that is no number."""
+    controller = mpc(linear(), FREE, ["speed"], horizon=8).value
+    c = Library(controller, tmp_path)
+    state = controller.begin([0.2, np.nan], [0.1, np.nan])
+    c.begin([0.2, np.nan], [0.1, np.nan])
+    for wanted in (0.1, np.nan, 0.2):
+        rows = [0.1, 0.1], np.full((8, 1), wanted), np.full((8, 1), -0.1)
+        state, decision = controller.step(state, *rows)
+        commands, (solved, _) = c.step(*rows)
+        assert bool(solved) == bool(decision.solved) == np.isfinite(wanted)
+        assert np.isfinite(commands).all()
+        np.testing.assert_allclose(commands, decision.commands, atol=1e-9)
+
+
+@with_compiler
 def test_one_that_decides_otherwise_is_found_out(monkeypatch):
     def bent(control):
         files = control_files(control)
