@@ -1,5 +1,6 @@
 """The verb `export_controller`: a predictive controller as C, proven."""
 
+import dataclasses
 from pathlib import Path
 
 import jax
@@ -40,7 +41,10 @@ from jaxnarx.exporters import (
 )
 from jaxnarx.files import TemporaryFolder
 from jaxnarx.models import (
+    FLAG,
+    HOLD,
     LEAST_DISTANCE,
+    NAN,
     REST_STEPS,
     REST_TOLERANCE,
     StateForm,
@@ -111,7 +115,10 @@ def export_controller(controller: Controller, *, name: str = "model") -> Exporte
 def control_program(controller: Controller, name: str) -> ControlProgram:
     """What a controller asks of a program, as exports take it."""
     network = controller.network
-    program_ = lower(network, name, index=False, slopes=False)
+    # What is reported as NaN is computed all the same, as in `Network.step`.
+    outside = FLAG if network.outside == NAN else network.outside
+    told = dataclasses.replace(network, outside=outside, nan=HOLD)
+    program_ = lower(told, name, index=False, slopes=False)
     require(
         len(network.modelled) == len(program_.outputs),
         "controller",

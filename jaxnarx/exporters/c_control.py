@@ -208,7 +208,7 @@ class _Writer:
             "u": (n["INPUTS"], "inputs of the last sample"),
             "plan": (n["HORIZON"] * n["COMMANDS"], "commands from the next on"),
             "slow": (n["USED"], "filtered inputs of the domain"),
-            "next": (n["STATES"], "this and all that follows: of one sample alone"),
+            "next": (n["STATES"], "scratch: this and all that follow"),
             "run": (n["STATES"], ""),
             **dict.fromkeys(("y", "fed"), (n["OUTPUTS"], "")),
             **{k: (n[f"{k.upper()}_ENTRIES"], "") for k in "abcd"},
@@ -247,9 +247,10 @@ class _Writer:
             f"Every {self.program.sample_time:g} s it plans commands over "
             f"{n['HORIZON']} samples, and sets the first. The references are those of "
             f"the samples from {'the next' if n['FIRST'] else 'this'} one on.",
-            "Measured outputs are NaN where one was not measured; an input that is no "
-            "number is held as it was. Where the quadratic program was not solved the "
-            "plan of before goes on, and `solved` is 0.",
+            "Measured outputs are NaN where one was not measured; an input that is not "
+            "finite is held as it was, at the beginning in the middle of its range. "
+            "Where the quadratic program was not solved, as with a reference that is "
+            "not finite, the plan of before goes on, and `solved` is 0.",
             f"{ram} bytes of memory, nothing is allocated; double precision.",
         ]
         rows = (
@@ -274,10 +275,10 @@ class _Writer:
             f"#define {upper}_CONTROL_H",
             "",
             *(
-                f"#define {upper}_{word} {n[word]}"
+                f"#define {upper}_CONTROL_{word} {n[word]}"
                 for word in ("INPUTS", "OUTPUTS", "COMMANDS", "GIVEN", "TARGETS")
             ),
-            f"#define {upper}_HORIZON {n['HORIZON']}",
+            f"#define {upper}_CONTROL_HORIZON {n['HORIZON']}",
             "",
             "typedef struct {",
             *(

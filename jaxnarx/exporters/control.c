@@ -8,7 +8,7 @@ static double smaller(double a, double b)
     return (a < b) ? a : b;
 }
 
-/* a = L L', L in the lower triangle; 0: a is not positive */
+/* a = L L', L in the lower triangle; 0: a is not positive definite */
 static int factorise(int n, double *a)
 {
     int good = 1;
@@ -304,6 +304,7 @@ static void correct(NAME_controller *c, const double *measured)
         }
     }
     if (factorise(OUTPUTS, c->middle) == 0) {
+        begin_covariance(c);
         return;
     }
     for (j = 0; j < OWN; j++) {
@@ -861,7 +862,7 @@ static double solve_quadratic(NAME_controller *c)
             now += c->lower[i];
         }
         if (factorise_normal(c) == 0) {
-            return HUGE_VAL;
+            return residual;
         }
         go_towards(c);
         length = find_longest(c);

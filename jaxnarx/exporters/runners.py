@@ -3,6 +3,7 @@
 import ctypes
 import importlib.util
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Callable, Sequence
@@ -263,7 +264,8 @@ void run(int n, const double *u, const double *y, double *theta, double *reporte
 def controller_runner(folder: Path, control: ControlProgram) -> ControllerRun:
     """The controller in `folder`, compiled there."""
     name = control.program.name
-    page = _CONTROLLER_PAGE.replace("NAME", name).replace("UPPER", name.upper())
+    words = {"NAME": name, "UPPER": name.upper()}
+    page = re.sub("NAME|UPPER", lambda found: words[found[0]], _CONTROLLER_PAGE)
     harness = folder / "control_harness.c"
     harness.write_text(page)
     sources = [folder / f"{name}_control.c", harness]
@@ -291,11 +293,11 @@ void run(int n, const double *u, const double *y, const double *wanted,
     int t, k;
     NAME_control_begin(&c, u, y);
     for (t = 0; t < n; t++) {
-        NAME_control_step(&c, &y[(t + 1) * UPPER_OUTPUTS],
-            &wanted[t * UPPER_HORIZON * UPPER_TARGETS],
-            &given[t * UPPER_HORIZON * UPPER_GIVEN], &now);
-        for (k = 0; k < UPPER_COMMANDS; k++) {
-            out[t * UPPER_COMMANDS + k] = now.commands[k];
+        NAME_control_step(&c, &y[(t + 1) * UPPER_CONTROL_OUTPUTS],
+            &wanted[t * UPPER_CONTROL_HORIZON * UPPER_CONTROL_TARGETS],
+            &given[t * UPPER_CONTROL_HORIZON * UPPER_CONTROL_GIVEN], &now);
+        for (k = 0; k < UPPER_CONTROL_COMMANDS; k++) {
+            out[t * UPPER_CONTROL_COMMANDS + k] = now.commands[k];
         }
     }
 }

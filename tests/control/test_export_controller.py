@@ -148,6 +148,29 @@ def test_both_begin_where_an_input_is_missing(tmp_path):
 
 
 @with_compiler
+def test_inputs_beyond_a_range_that_is_reported_as_nan(tmp_path):
+    """A report of NaN is no part of the state: neither is lost for ever."""
+    network = hold_to_range(linear(), None, outside="nan")
+    controller = mpc(network, FREE, ["speed"], horizon=8).value
+    c = Library(controller, tmp_path)
+    state = controller.begin([0.2, -0.1], [0.1, 0.1])
+    c.begin([0.2, -0.1], [0.1, 0.1])
+    for load in (-0.1, 1.5, 1.5, -0.1):
+        rows = [0.1, 0.1], np.full((8, 1), 0.1), np.full((8, 1), load)
+        state, decision = controller.step(state, *rows)
+        commands, (solved, _) = c.step(*rows)
+        assert bool(solved) and bool(decision.solved)
+        np.testing.assert_allclose(commands, decision.commands, atol=1e-8)
+
+
+@with_compiler
+def test_files_of_any_name_compile():
+    controller = mpc(linear(), FREE, ["speed"], horizon=3).value
+    found = export_controller(controller, name="UPPER_NAME")
+    assert found.difference["c, controller"] <= AGREEMENT
+
+
+@with_compiler
 def test_one_that_decides_otherwise_is_found_out(monkeypatch):
     def bent(control):
         files = control_files(control)
