@@ -10,7 +10,6 @@ from jaxtyping import Array
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
-from jaxnarx.checks import require
 from jaxnarx.control.controller import (
     AT_EDGE,
     DOMAIN_LINEAR,
@@ -24,7 +23,7 @@ from jaxnarx.control.controller import (
     block_of,
     used_inputs,
 )
-from jaxnarx.control.observer import NOT_MEASURED, UNSURE
+from jaxnarx.control.observer import NOT_MEASURED, UNSURE, feedback_bounds
 from jaxnarx.control.quadratic_program import MOST_STEPS, NEAR_BORDER, TOLERANCE
 from jaxnarx.exporters import (
     ControllerRun,
@@ -47,10 +46,10 @@ from jaxnarx.models import (
     NAN,
     REST_STEPS,
     REST_TOLERANCE,
+    Network,
     StateForm,
     depth,
     driving_signals,
-    fed_back_variables,
     middle_inputs,
     sources,
 )
@@ -113,17 +112,12 @@ def export_controller(controller: Controller, *, name: str = "model") -> Exporte
 
 
 def control_program(controller: Controller, name: str) -> ControlProgram:
-    """What a controller asks of a program, as exports take it."""
+    """Lower the network of a controller, and list sizes and numbers for its C."""
     network = controller.network
     # What is reported as NaN is computed all the same, as in `Network.step`.
     outside = FLAG if network.outside == NAN else network.outside
     told = dataclasses.replace(network, outside=outside, nan=HOLD)
     program_ = lower(told, name, index=False, slopes=False)
-    require(
-        len(network.modelled) == len(program_.outputs),
-        "controller",
-        "the network reports other outputs than it models",
-    )
     count, soft = len(network.modelled), list(controller.bounded)
     own = np.array(controller.bounded, int)
     size = np.asarray(controller.size)
@@ -200,12 +194,12 @@ def control_program(controller: Controller, name: str) -> ControlProgram:
         loops=_loops(controller),
         observe_states=controller.observe_states,
         unsure=UNSURE,
-        bounds=_feedback_bounds(controller),
+        bounds=_bounds(network),
     )
 
 
 def _loops(controller: Controller) -> tuple[FeedbackLine, ...]:
-    """What the network carries, by the delay lines of its program."""
+    """List the delay lines that the network feeds back."""
     network = controller.network
     names, lags = identifiers(network.computed_names), depth(network)
     low, high, gain = (np.asarray(a) for a in (network.low, network.high, network.gain))
@@ -226,20 +220,13 @@ def _loops(controller: Controller) -> tuple[FeedbackLine, ...]:
     return tuple(found)
 
 
-def _feedback_bounds(
-    controller: Controller,
-) -> tuple[tuple[float, float, bool], ...] | None:
-    """Bounds of the feedback, where a run that is at them begins anew; see
-    `jaxnarx.control.observer.recover`."""
-    network = controller.network
-    fed_back = fed_back_variables(network.variables, network.signals)
-    if len(sources(network)) != len(network.modelled) or not fed_back:
+def _bounds(network: Network) -> tuple[tuple[float, float, bool], ...] | None:
+    """The bounds of the feedback as numbers."""
+    found = feedback_bounds(network)
+    if found is None:
         return None
-    gain = np.asarray(network.gain)[list(network.signals)]
-    low, high = np.asarray(network.lower) * gain, np.asarray(network.upper) * gain
-    free = ~np.asarray(network.saturates) & (low < high)
-    rows = zip(low.tolist(), high.tolist(), free.tolist(), strict=True)
-    return tuple((a, b, bool(c)) for a, b, c in rows)
+    low, high, free = (np.asarray(a).tolist() for a in found)
+    return tuple(zip(low, high, free, strict=True))
 
 
 def _difference(controller: Controller, run: ControllerRun) -> float:
@@ -247,7 +234,7 @@ def _difference(controller: Controller, run: ControllerRun) -> float:
     quadratic programs are solved; ExportError where none is."""
     apart = []
     for seed in range(STRETCHES):
-        begun, wanted, given, off = scenario = _scenario(controller, seed)
+        begun, wanted, given, _ = scenario = _scenario(controller, seed)
         told = _drive(controller, *map(jnp.asarray, scenario))
         measured, expected, solved = (np.asarray(a) for a in told)
         found = run(begun, measured, wanted, given)
@@ -293,8 +280,8 @@ def _scenario(controller: Controller, seed: int) -> tuple[np.ndarray, ...]:
 def _drive(
     controller: Controller, begun: Array, wanted: Array, given: Array, off: Array
 ) -> tuple[Array, Array, Array]:
-    """What is measured of the controller's own network, its commands, and whether each
-    was a solution, from a state of rest."""
+    """Run the controller on its own network from rest: measured outputs, commands, and
+    whether each was a solution."""
     network = controller.network
     commands, others = (
         np.array(controller.commands, int),

@@ -86,6 +86,18 @@ def begin_estimate(
     return Estimate(x, error, jnp.zeros_like(error), cov)
 
 
+def feedback_bounds(network: Network) -> tuple[Array, Array, Array] | None:
+    """Low and high bounds of the feedback of every output, in its unit, and whether
+    they are free of a curve that saturates; None where a network has no feedback or
+    carries more than past outputs."""
+    fed_back = fed_back_variables(network.variables, network.signals)
+    if len(sources(network)) != len(network.modelled) or not fed_back:
+        return None
+    gain = network.gain[np.array(network.signals)]
+    low, high = network.lower * gain, network.upper * gain
+    return low, high, ~jnp.asarray(network.saturates) & (low < high)
+
+
 def recover(
     network: Network,
     statistics: ErrorStatistics,
@@ -103,13 +115,12 @@ def recover(
     past outputs, where an output was not measured or is itself beyond the bounds, and
     where the run would be back at them at once.
     """
-    count, at = len(network.modelled), np.flatnonzero(carried(network))
-    fed_back = fed_back_variables(network.variables, network.signals)
-    if len(sources(network)) != count or not fed_back:
+    bounds = feedback_bounds(network)
+    if bounds is None:
         return before, jnp.zeros((), bool)
-    form, gain = StateForm(network), network.gain[np.array(network.signals)]
-    low, high = network.lower * gain, network.upper * gain
-    free = ~jnp.asarray(network.saturates) & (low < high)
+    low, high, free = bounds
+    count, at = len(network.modelled), np.flatnonzero(carried(network))
+    form = StateForm(network)
 
     def clipped(x: Array) -> Array:
         # What is remembered of a step is not held to the reported range.

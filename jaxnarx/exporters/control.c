@@ -8,6 +8,41 @@ static double smaller(double a, double b)
     return (a < b) ? a : b;
 }
 
+/* to = a b, n rows of a with m numbers, b with p columns */
+static void multiply(int n, int m, int p, const double *a, const double *b, double *to)
+{
+    int i;
+    int j;
+    int k;
+    for (i = 0; i < n; i++) {
+        for (j = 0; j < p; j++) {
+            double sum = 0.0;
+            for (k = 0; k < m; k++) {
+                sum += a[(i * m) + k] * b[(k * p) + j];
+            }
+            to[(i * p) + j] = sum;
+        }
+    }
+}
+
+/* to = diag(own) + a b', n rows of either with m numbers */
+static void multiply_transposed(int n, int m, const double *a, const double *b,
+    const double *own, double *to)
+{
+    int i;
+    int j;
+    int k;
+    for (i = 0; i < n; i++) {
+        for (j = 0; j < n; j++) {
+            double sum = (i == j) ? own[i] : 0.0;
+            for (k = 0; k < m; k++) {
+                sum += a[(i * m) + k] * b[(j * m) + k];
+            }
+            to[(i * n) + j] = sum;
+        }
+    }
+}
+
 /* a = L L', L in the lower triangle; 0: a is not positive definite */
 static int factorise(int n, double *a)
 {
@@ -285,24 +320,8 @@ static void correct(NAME_controller *c, const double *measured)
         noise[k] = there ? noise_variance[k] : (noise_variance[k] * NOT_MEASURED);
         error[k] = there ? (measured[k] - c->y[k] - c->offset[k] - c->fading[k]) : 0.0;
     }
-    for (k = 0; k < OUTPUTS; k++) {
-        for (j = 0; j < OWN; j++) {
-            double sum = 0.0;
-            for (i = 0; i < OWN; i++) {
-                sum += c->seen[(k * OWN) + i] * c->covariance[(i * OWN) + j];
-            }
-            c->product[(k * OWN) + j] = sum;
-        }
-    }
-    for (k = 0; k < OUTPUTS; k++) {
-        for (i = 0; i < OUTPUTS; i++) {
-            double sum = (i == k) ? noise[k] : 0.0;
-            for (j = 0; j < OWN; j++) {
-                sum += c->product[(k * OWN) + j] * c->seen[(i * OWN) + j];
-            }
-            c->middle[(k * OUTPUTS) + i] = sum;
-        }
-    }
+    multiply(OUTPUTS, OWN, OWN, c->seen, c->covariance, c->product);
+    multiply_transposed(OUTPUTS, OWN, c->product, c->seen, noise, c->middle);
     if (factorise(OUTPUTS, c->middle) == 0) {
         begin_covariance(c);
         return;
@@ -362,7 +381,6 @@ static void correct(NAME_controller *c, const double *measured)
 static void advance(NAME_controller *c)
 {
     int i;
-    int j;
     int k;
     slopes(c->x, c->u, c->next, c->y, c->a, c->b, c->c, c->d);
     for (i = 0; i < (OWN * OWN); i++) {
@@ -389,24 +407,8 @@ static void advance(NAME_controller *c)
         c->transition[(behind * OWN) + behind] = pole[k];
         c->fading[k] *= pole[k];
     }
-    for (i = 0; i < OWN; i++) {
-        for (j = 0; j < OWN; j++) {
-            double sum = 0.0;
-            for (k = 0; k < OWN; k++) {
-                sum += c->transition[(i * OWN) + k] * c->covariance[(k * OWN) + j];
-            }
-            c->half[(i * OWN) + j] = sum;
-        }
-    }
-    for (i = 0; i < OWN; i++) {
-        for (j = 0; j < OWN; j++) {
-            double sum = (i == j) ? step_variance[i] : 0.0;
-            for (k = 0; k < OWN; k++) {
-                sum += c->half[(i * OWN) + k] * c->transition[(j * OWN) + k];
-            }
-            c->covariance[(i * OWN) + j] = sum;
-        }
-    }
+    multiply(OWN, OWN, OWN, c->transition, c->covariance, c->half);
+    multiply_transposed(OWN, OWN, c->half, c->transition, step_variance, c->covariance);
     for (i = 0; i < STATES; i++) {
         c->x[i] = c->next[i];
     }
