@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -61,7 +63,8 @@ def mpc(
     is left of an error that stays (Muske and Badgwell 2002).
 
     Args:
-        network: A network that computes all outputs it looks at.
+        network: A network that computes all outputs it looks at; one of float32 is
+            taken in float64.
         commands: The inputs that are set, with bounds, rates and efforts.
         targets: The outputs that follow a reference; with their weights, by default
             one. An error counts in quarters of the output's trained range.
@@ -84,7 +87,8 @@ def mpc(
 
     Raises:
         SpecError: channels that the network does not have, or that are named twice;
-            bounds that leave no room.
+            bounds that leave no room; JAX without double precision, in which quadratic
+            programs of steep limits are not solved.
 
     Example:
         free = {"a": jnx.control.Command(rate=2.0)}
@@ -94,6 +98,7 @@ def mpc(
         print(decision.commands)
     """
     require_computed(network, "network")
+    network = _in_double(network)
     names = state_space(network).inputs
     outputs = network.output_names
     weights = targets if isinstance(targets, Mapping) else dict.fromkeys(targets, 1.0)
@@ -163,6 +168,21 @@ def mpc(
         fade=_fade(network),
     )
     return Solution(controller, RESULTS.ok, {}, _remarks(controller))
+
+
+def _in_double(network: Network) -> Network:
+    """The network with numbers in double precision."""
+    if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+        raise SpecError(
+            "a controller needs double precision, call "
+            "jax.config.update('jax_enable_x64', True) first",
+            field="jax_enable_x64",
+        )
+
+    def double(leaf: Any) -> Any:
+        return jnp.asarray(leaf, np.float64) if eqx.is_inexact_array(leaf) else leaf
+
+    return jax.tree.map(double, network)
 
 
 def _places_of_blocks(horizon: int, blocks: Sequence[int]) -> tuple[int, ...]:

@@ -36,7 +36,13 @@ from jaxnarx.control.observer import (
     recover,
 )
 from jaxnarx.control.quadratic_program import TOLERANCE, solve_quadratic
-from jaxnarx.models import Domain, Network, driving_signals, middle_inputs
+from jaxnarx.models import (
+    Domain,
+    Network,
+    driving_signals,
+    largest_sizes,
+    middle_inputs,
+)
 
 Values = Array | np.ndarray | Sequence[float | int]
 
@@ -166,7 +172,9 @@ class Controller(eqx.Module):
     ) -> ControlState:
         """The state of a plant at rest under these inputs, with these outputs.
 
-        Of an input that is no number the middle of its trained range is taken.
+        Of an input that is missing the middle of its trained range is taken. As
+        everywhere, a value is missing that is not finite or a million times as large as
+        any of the training (`jaxnarx.models.missing`).
         """
         row = jnp.asarray(u, self.low.dtype)
         return _begin(self, row, jnp.asarray(measured, row.dtype))
@@ -182,11 +190,12 @@ class Controller(eqx.Module):
 
         Args:
             state: From `begin`, or from the sample before.
-            measured: The outputs now, NaN where one was not measured.
+            measured: The outputs now; one that is missing, as with NaN, corrects
+                nothing.
             reference: What the targets shall be, a row for each sample of the horizon,
                 which begins `first` samples from now, or one for all.
             given: The inputs that are not set, from this sample on, alike; one that is
-                no number is held as it was.
+                missing is held as it was.
 
         Returns:
             The next state, and the decision.
@@ -233,10 +242,20 @@ def _all_inputs(
     return jax.vmap(lambda c, g: _inputs(controller, c, g))(plan, given)
 
 
+def _present(
+    network: Network, measured: Float[Array, " outputs"]
+) -> Float[Array, " outputs"]:
+    """The measured outputs, NaN where one is missing."""
+    largest = largest_sizes(network)[np.array(network.signals)[: len(measured)]]
+    return jnp.where(jnp.abs(measured) < largest, measured, jnp.nan)
+
+
 @program
 def _begin(controller: Controller, u: Array, measured: Array) -> ControlState:
     network, known = controller.network, controller.statistics
-    u = jnp.where(jnp.isfinite(u), u, middle_inputs(network).astype(u.dtype))
+    measured, largest = _present(network, measured), largest_sizes(network)
+    there = jnp.abs(u) < largest[np.array(driving_signals(network), int)]
+    u = jnp.where(there, u, middle_inputs(network).astype(u.dtype))
     x = network.init("steady", u[None])
     y = network.step(x, u)[1]
     d = jnp.where(jnp.isfinite(measured), measured - y, 0.0)
@@ -256,8 +275,9 @@ def _step(
 ) -> tuple[ControlState, Decision]:
     network, known = controller.network, controller.statistics
     how = {"states": controller.observe_states}
-    held = state.u[np.array(controller.given, int)]
-    given = jnp.where(jnp.isfinite(given), given, held[None])
+    measured, at = _present(network, measured), np.array(controller.given, int)
+    largest = largest_sizes(network)[np.array(driving_signals(network), int)[at]]
+    given = jnp.where(jnp.abs(given) < largest[None], given, state.u[at][None])
     now, lost = recover(network, known, state.estimate, state.u, measured, **how)
     now = correct(network, known, now, state.u, measured, **how)
     before = state.u[np.array(controller.commands, int)]
@@ -396,18 +416,32 @@ def improve(
     found = solve_quadratic(wide, whole, rows, bound, jnp.zeros_like(whole))
     step, excess = found.z[:numbers], found.z[numbers:]
     solved = jnp.isfinite(step).all() & (found.residual < SOLVED)
-    z = jnp.where(solved, z + step.reshape(z.shape), z)
+    z = keep_bounds(controller, jnp.where(solved, z + step.reshape(z.shape), z), before)
     own = np.array(controller.bounded, int)
     # The domain's is no limit of an output.
     excess = jnp.where(solved, excess, 0.0)[: len(own)] * controller.size[own]
     return plan_of(controller, z), excess, solved
 
 
+def keep_bounds(
+    controller: Controller,
+    z: Float[Array, "blocks commands"],
+    before: Float[Array, " commands"],
+) -> Float[Array, "blocks commands"]:
+    """Commands in their spans within their bounds, the first within its rate too: a
+    solution keeps them up to its residual alone."""
+    low, high = command_bounds(controller, before)
+    low = low.at[0].max(before - controller.move)
+    high = high.at[0].min(before + controller.move)
+    span = controller.span[None]
+    return jnp.clip(z, low / span, high / span)
+
+
 def plan_of(
     controller: Controller, z: Float[Array, "blocks commands"]
 ) -> Float[Array, "horizon commands"]:
-    """The commands of every sample, exactly at their bounds where they are near; their
-    slopes are those of any."""
+    """The commands of every sample, exactly at their bounds where they are near; with
+    the slopes of commands between them."""
     plan = z[block_of(controller)] * controller.span[None]
     for edge in (controller.low[None], controller.high[None]):
         near = jnp.abs(plan - edge) <= AT_EDGE * controller.span[None]

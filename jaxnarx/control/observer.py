@@ -125,7 +125,7 @@ def recover(
     def clipped(x: Array) -> Array:
         # What is remembered of a step is not held to the reported range.
         y = form.f(x, u)[at].reshape(count, -1)[:, 0]
-        return jnp.any(((y <= low) | (y >= high)) & free)
+        return jnp.any(~((y > low) & (y < high)) & free)
 
     x = remember_outputs(network, before.x, measured)
     inside = jnp.all(((measured > low) & (measured < high)) | ~free)

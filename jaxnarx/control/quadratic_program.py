@@ -24,7 +24,7 @@ NEAR_BORDER = 0.995
 
 class QuadraticSolution(NamedTuple):
     """Where a quadratic program has its least value; `residual` is the largest of the
-    conditions, `steps` how many were taken."""
+    conditions, `steps` how many were taken: all there are where one has failed."""
 
     z: Float[Array, " n"]
     multipliers: Float[Array, " limits"]
@@ -93,7 +93,11 @@ def solve_quadratic(
         z = z + free * dz
         slack, multipliers = slack + free * ds, multipliers + free * dl
         found = z, slack, multipliers
-        return _Iterate(*found, worst(*found), at.steps + 1)
+        new = _Iterate(*found, worst(*found), at.steps + 1)
+        # Near the solution a factorisation may fail: what there is stays.
+        stays = at._replace(steps=jnp.full_like(at.steps, MOST_STEPS))
+        good = jnp.isfinite(new.residual)
+        return jax.tree.map(lambda a, b: jnp.where(good, a, b), new, stays)
 
     def goes_on(at: _Iterate):
         return (at.residual > TOLERANCE) & (at.steps < MOST_STEPS)

@@ -218,6 +218,8 @@ class _Lowering:
             return raw
         b = self.b
         low, high = b.const(self.low[signal]), b.const(self.high[signal])
+        if self.low[signal] == self.high[signal]:
+            return low
         # No clip, whose slope at the edge is zero: a command that stands there would
         # seem to be without effect.
         below, above = b.op("less", raw, low), b.op("less", high, raw)

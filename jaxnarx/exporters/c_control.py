@@ -24,7 +24,7 @@ from jaxnarx.exporters.target import Files
 class FeedbackLine:
     """A delay line of values that are fed back: of which output, or none, the gain they
     are divided by, the middle of their range, the variances of what it holds, and
-    whether it holds roots of values."""
+    whether it holds roots of values; the middle is then that above the floor."""
 
     line: str
     output: int | None
@@ -247,8 +247,9 @@ class _Writer:
             f"Every {self.program.sample_time:g} s it plans commands over "
             f"{n['HORIZON']} samples, and sets the first. The references are those of "
             f"the samples from {'the next' if n['FIRST'] else 'this'} one on.",
-            "Measured outputs are NaN where one was not measured; an input that is not "
-            "finite is held as it was, at the beginning in the middle of its range. "
+            "A value is missing that is not finite, or a million times as large as any "
+            "of the training: a measured output corrects nothing then, an input is "
+            "held as it was, at the beginning in the middle of its range. "
             "Where the quadratic program was not solved, as with a reference that is "
             "not finite, the plan of before goes on, and `solved` is 0.",
             f"{ram} bytes of memory, nothing is allocated; double precision.",
@@ -257,7 +258,7 @@ class _Writer:
             ("u", inputs),
             ("commands", [inputs[k] for k in integers["command_at"]]),
             ("given", [inputs[k] for k in integers["given_at"]]),
-            ("measured, disturbance", outputs),
+            ("measured, disturbance, outputs", outputs),
             ("reference", [outputs[k] for k in integers["target_at"]]),
             ("excess", [outputs[k] for k in integers["soft_column"][: n["LIMITS"]]]),
         )
@@ -276,9 +277,11 @@ class _Writer:
             "",
             *(
                 f"#define {upper}_CONTROL_{word} {n[word]}"
-                for word in ("INPUTS", "OUTPUTS", "COMMANDS", "GIVEN", "TARGETS")
+                for word in (
+                    *("INPUTS", "OUTPUTS", "COMMANDS", "GIVEN", "TARGETS", "LIMITS"),
+                    "HORIZON",
+                )
             ),
-            f"#define {upper}_CONTROL_HORIZON {n['HORIZON']}",
             "",
             "typedef struct {",
             *(
@@ -290,6 +293,7 @@ class _Writer:
             "",
             "typedef struct {",
             f"    double commands[{n['COMMANDS']}];",
+            f"    double outputs[{n['HORIZON'] * n['OUTPUTS']}]; /* expected */",
             f"    double excess[{max(n['LIMITS'], 1)}]; /* how far limits give way */",
             f"    double disturbance[{n['OUTPUTS']}]; /* errors of the model now */",
             "    int solved;",

@@ -1,11 +1,18 @@
+/* the larger of two, NaN where one is */
 static double larger(double a, double b)
 {
-    return (a > b) ? a : b;
+    return ((a > b) || isnan(a)) ? a : b;
 }
 
 static double smaller(double a, double b)
 {
     return (a < b) ? a : b;
+}
+
+/* whether a value is one, see the header */
+static int is_there(double value, double largest)
+{
+    return (fabs(value) < largest) ? 1 : 0;
 }
 
 /* to = a b, n rows of a with m numbers, b with p columns */
@@ -151,6 +158,22 @@ static double by_value(const double *x, int entry)
     return slope;
 }
 
+/* the value of an entry of the state; above the floor of its root, if it is one */
+static double value_of(const double *x, int entry)
+{
+    return (is_root(entry) != 0) ? (x[entry] * fabs(x[entry])) : x[entry];
+}
+
+/* entry m of the Jacobian of c->next by c->x, between values */
+static double between_values(const NAME_controller *c, int m)
+{
+    double own = c->a[m] * by_value(c->x, a_column[m]);
+    if (is_root(a_row[m]) != 0) {
+        own *= 2.0 * fabs(c->next[a_row[m]]);
+    }
+    return own;
+}
+
 /* move an entry of the state by so much of the value whose root it may be */
 static void move_entry(double *x, int entry, double by)
 {
@@ -162,24 +185,40 @@ static void move_entry(double *x, int entry, double by)
     }
 }
 
-/* the state of rest under u: Newton's method on the values that are fed back */
+/* the state whose loop has had these values, of which it may keep roots */
+static void rest_at(NAME_controller *c, const double *u, const double *z)
+{
+    double kept[LOOPS + 1];
+    int n;
+    for (n = 0; n < LOOPS; n++) {
+        kept[n] = z[n];
+        if (loop_root[n] != 0) {
+            kept[n] = (z[n] > 0.0) ? sqrt(z[n]) : (-sqrt(-z[n]));
+        }
+    }
+    rest(u, kept, c->x);
+}
+
+/* the state of rest under u: Newton's method on the values that are fed back, from the
+   middle of their ranges; where it finds none, they have been there */
 static void find_rest(NAME_controller *c, const double *u)
 {
     double z[LOOPS + 1];
     double move[LOOPS + 1];
     double slope[(LOOPS * LOOPS) + 1];
+    int found = (LOOPS > 0) ? 0 : 1;
     int step;
     int n;
     int m;
     for (n = 0; n < LOOPS; n++) {
         z[n] = loop_middle[n];
     }
-    for (step = 0; step < REST_STEPS; step++) {
+    for (step = 0; (step < REST_STEPS) && (found == 0); step++) {
         double most = 0.0;
-        rest(u, z, c->x);
+        rest_at(c, u, z);
         slopes(c->x, u, c->next, c->y, c->a, c->b, c->c, c->d);
         for (n = 0; n < LOOPS; n++) {
-            move[n] = z[n] - c->next[loop_first[n]];
+            move[n] = z[n] - value_of(c->next, loop_first[n]);
             for (m = 0; m < LOOPS; m++) {
                 slope[(n * LOOPS) + m] = (n == m) ? -1.0 : 0.0;
             }
@@ -188,7 +227,7 @@ static void find_rest(NAME_controller *c, const double *u)
             const int to = loop_of[a_row[m]];
             const int from = loop_of[a_column[m]];
             if ((to >= 0) && (from >= 0) && (loop_first[to] == a_row[m])) {
-                slope[(to * LOOPS) + from] += c->a[m];
+                slope[(to * LOOPS) + from] += between_values(c, m);
             }
         }
         if (eliminate(LOOPS, slope, move) == 0) {
@@ -198,11 +237,12 @@ static void find_rest(NAME_controller *c, const double *u)
             z[n] += move[n];
             most = larger(most, fabs(move[n]));
         }
-        if (!(most > REST_TOLERANCE)) {
-            break;
-        }
+        found = (most <= REST_TOLERANCE) ? 1 : 0;
     }
-    rest(u, z, c->x);
+    for (n = 0; (n < LOOPS) && (found == 0); n++) {
+        z[n] = loop_middle[n];
+    }
+    rest_at(c, u, z);
 }
 
 /* the estimate begins: covariance as unsure as after many steps */
@@ -222,12 +262,13 @@ void NAME_control_begin(NAME_controller *c, const double *u, const double *measu
     int k;
     int n;
     for (k = 0; k < INPUTS; k++) {
-        c->u[k] = isfinite(u[k]) ? u[k] : input_middle[k];
+        c->u[k] = is_there(u[k], largest_input[k]) ? u[k] : input_middle[k];
     }
     find_rest(c, c->u);
     sample(c->x, c->u, c->next, c->y, c->fed);
     for (k = 0; k < OUTPUTS; k++) {
-        c->offset[k] = isfinite(measured[k]) ? (measured[k] - c->y[k]) : 0.0;
+        const int there = is_there(measured[k], largest_output[k]);
+        c->offset[k] = there ? (measured[k] - c->y[k]) : 0.0;
         c->fading[k] = 0.0;
     }
     begin_covariance(c);
@@ -264,7 +305,8 @@ static int recover(NAME_controller *c, const double *measured)
     int n;
     for (k = 0; k < OUTPUTS; k++) {
         const int within = (measured[k] > loop_low[k]) && (measured[k] < loop_high[k]);
-        if (!isfinite(measured[k]) || ((loop_free[k] != 0) && !within)) {
+        const int there = is_there(measured[k], largest_output[k]);
+        if (!there || ((loop_free[k] != 0) && !within)) {
             lost = 0;
         }
     }
@@ -314,7 +356,7 @@ static void correct(NAME_controller *c, const double *measured)
         }
     }
     for (k = 0; k < OUTPUTS; k++) {
-        const int there = isfinite(measured[k]);
+        const int there = is_there(measured[k], largest_output[k]);
         c->seen[(k * OWN) + CARRIED + k] = 1.0;
         c->seen[(k * OWN) + CARRIED + OUTPUTS + k] = 1.0;
         noise[k] = there ? noise_variance[k] : (noise_variance[k] * NOT_MEASURED);
@@ -390,14 +432,9 @@ static void advance(NAME_controller *c)
         const int row = carried_of[a_row[i]];
         const int column = carried_of[a_column[i]];
         if ((row >= 0) && (column >= 0)) {
-            double own = c->a[i];
-            if (loop_first[loop_of[a_row[i]]] == a_row[i]) {
-                own *= by_value(c->x, a_column[i]);
-                if (is_root(a_row[i]) != 0) {
-                    own *= 2.0 * fabs(c->next[a_row[i]]);
-                }
-            }
-            c->transition[(row * OWN) + column] = own;
+            const int newest = loop_first[loop_of[a_row[i]]] == a_row[i];
+            c->transition[(row * OWN) + column] =
+                newest ? between_values(c, i) : c->a[i];
         }
     }
     for (k = 0; k < OUTPUTS; k++) {
@@ -623,26 +660,61 @@ static void make_objective(NAME_controller *c, const double *reference)
     }
 }
 
+/* bounds of a number of the plan: beyond its own, a command comes back as fast as its
+   rate allows */
+static double most_of(const NAME_controller *c, int i)
+{
+    const int own = i % COMMANDS;
+    const double far = (double)((i / COMMANDS) + 1) * largest_move[own];
+    return larger(high[own], c->u[command_at[own]] - far);
+}
+
+static double least_of(const NAME_controller *c, int i)
+{
+    const int own = i % COMMANDS;
+    const double far = (double)((i / COMMANDS) + 1) * largest_move[own];
+    return smaller(low[own], c->u[command_at[own]] + far);
+}
+
+/* c->z within its bounds, its first block within the rates too: a solution keeps them up
+   to its residual alone */
+static void keep_bounds(NAME_controller *c)
+{
+    int i;
+    for (i = 0; i < NUMBERS; i++) {
+        const int own = i % COMMANDS;
+        const double before = c->u[command_at[own]];
+        double most = most_of(c, i);
+        double least = least_of(c, i);
+        if (i < COMMANDS) {
+            most = smaller(most, before + largest_move[own]);
+            least = larger(least, before - largest_move[own]);
+        }
+        c->z[i] = larger(least / span[own], smaller(most / span[own], c->z[i]));
+    }
+}
+
 /* bounds on a step: of commands, of moves, of outputs and the domain */
 static void make_bounds(NAME_controller *c)
 {
     int i;
     int k;
+    int n;
     for (i = 0; i < NUMBERS; i++) {
         const int own = i % COMMANDS;
         const double reach = largest_move[own] / span[own];
-        const double far = (double)((i / COMMANDS) + 1) * largest_move[own];
-        const double before = c->u[command_at[own]];
-        const double most = larger(high[own], before - far) / span[own];
-        const double least = smaller(low[own], before + far) / span[own];
-        c->bound[i] = most - c->z[i];
-        c->bound[NUMBERS + i] = c->z[i] - least;
+        c->bound[i] = (most_of(c, i) / span[own]) - c->z[i];
+        c->bound[NUMBERS + i] = c->z[i] - (least_of(c, i) / span[own]);
         c->bound[(2 * NUMBERS) + i] = reach - c->change[i];
         c->bound[(3 * NUMBERS) + i] = reach + c->change[i];
     }
     for (k = 0; k < HORIZON; k++) {
         for (i = 0; i < SOFT; i++) {
-            const double y = c->out[(k * COLUMNS) + soft_column[i]];
+            const int at = (k * COLUMNS) + soft_column[i];
+            const double y = c->out[at];
+            for (n = 0; (n < NUMBERS) && !isfinite(y); n++) {
+                c->steep[(at * NUMBERS) + n] = 0.0;
+            }
             c->bound[(4 * NUMBERS) + (k * SOFT) + i] = soft_high[i] - y;
             c->bound[(4 * NUMBERS) + ((HORIZON + k) * SOFT) + i] = y - soft_low[i];
         }
@@ -686,7 +758,7 @@ static void multiply_rows(const NAME_controller *c, const double *v, double *to)
         to[ROWS - SOFT + i] = -v[NUMBERS + i];
     }
     for (i = 0; i < ROWS; i++) {
-        to[i] *= c->there[i];
+        to[i] = (c->there[i] > 0.0) ? to[i] : 0.0;
     }
 }
 
@@ -915,6 +987,7 @@ static int improve(NAME_controller *c, const double *reference, const double *gi
     for (i = 0; (i < NUMBERS) && (solved != 0); i++) {
         c->z[i] += c->step[i];
     }
+    keep_bounds(c);
     for (k = 0; k < HORIZON; k++) {
         for (i = 0; i < COMMANDS; i++) {
             c->plan[(k * COMMANDS) + i] = command_of(c, k, i);
@@ -927,6 +1000,43 @@ static int improve(NAME_controller *c, const double *reference, const double *gi
     return solved;
 }
 
+/* the outputs over the horizon under the plan; 0: one is not finite */
+static int look_ahead(NAME_controller *c, double *outputs)
+{
+    double faded[OUTPUTS];
+    int finite = 1;
+    int i;
+    int k;
+    for (i = 0; i < STATES; i++) {
+        c->run[i] = c->x[i];
+    }
+    for (i = 0; i < OUTPUTS; i++) {
+        faded[i] = c->fading[i];
+    }
+    for (k = 0; k < (HORIZON + FIRST); k++) {
+        const int at = (k < HORIZON) ? k : (HORIZON - 1);
+        for (i = 0; i < COMMANDS; i++) {
+            c->now[command_at[i]] = c->plan[(at * COMMANDS) + i];
+        }
+        for (i = 0; i < GIVEN; i++) {
+            c->now[given_at[i]] = c->ahead[(at * GIVEN) + i];
+        }
+        sample(c->run, c->now, c->next, c->y, c->fed);
+        for (i = 0; (i < OUTPUTS) && (k >= FIRST); i++) {
+            const double own = c->y[i] + c->offset[i] + faded[i];
+            outputs[((k - FIRST) * OUTPUTS) + i] = own;
+            finite = isfinite(own) ? finite : 0;
+        }
+        for (i = 0; i < STATES; i++) {
+            c->run[i] = c->next[i];
+        }
+        for (i = 0; i < OUTPUTS; i++) {
+            faded[i] *= pole[i];
+        }
+    }
+    return finite;
+}
+
 void NAME_control_step(NAME_controller *c, const double *measured,
     const double *reference, const double *given, NAME_decision *out)
 {
@@ -935,7 +1045,8 @@ void NAME_control_step(NAME_controller *c, const double *measured,
     for (k = 0; k < HORIZON; k++) {
         for (i = 0; i < GIVEN; i++) {
             const double own = given[(k * GIVEN) + i];
-            c->ahead[(k * GIVEN) + i] = isfinite(own) ? own : c->u[given_at[i]];
+            c->ahead[(k * GIVEN) + i] = is_there(own, largest_input[given_at[i]]) ?
+                own : c->u[given_at[i]];
         }
     }
     out->restarted = recover(c, measured);
@@ -945,6 +1056,9 @@ void NAME_control_step(NAME_controller *c, const double *measured,
         if (improve(c, reference, c->ahead, out) == 0) {
             out->solved = 0;
         }
+    }
+    if (look_ahead(c, out->outputs) == 0) {
+        out->solved = 0;
     }
     for (i = 0; i < OUTPUTS; i++) {
         out->disturbance[i] = c->offset[i] + c->fading[i];

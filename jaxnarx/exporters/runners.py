@@ -15,7 +15,6 @@ from jaxtyping import Float
 
 from jaxnarx.exporters import form
 from jaxnarx.exporters.c_adapt import AdaptiveProgram
-from jaxnarx.exporters.c_control import ControlProgram
 from jaxnarx.exporters.compilers import compiler, compilers, load_library
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.proof import (
@@ -37,11 +36,11 @@ AdaptationRunner = Callable[
 """A function that learns from inputs and measured outputs, and gives the coefficients
 at the end, output by output, and what was reported."""
 ControllerRun = Callable[
-    [np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    Float[np.ndarray, "time commands"],
+    [np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, ...]
 ]
-"""A function that gives commands for inputs to begin with, measured outputs of that and
-every other sample, and references and given inputs over each one's horizon."""
+"""A function that gives decisions, field by field with a row a sample, for inputs to
+begin with, measured outputs of that and every other sample, and references and given
+inputs over each one's horizon."""
 
 
 def import_page(path: Path) -> Any:
@@ -261,9 +260,11 @@ void run(int n, const double *u, const double *y, double *theta, double *reporte
 """
 
 
-def controller_runner(folder: Path, control: ControlProgram) -> ControllerRun:
-    """The controller in `folder`, compiled there."""
-    name = control.program.name
+def controller_runner(
+    folder: Path, name: str, *, commands: int, limits: int
+) -> ControllerRun:
+    """The controller of that name in `folder`, with so many commands and limits,
+    compiled there."""
     words = {"NAME": name, "UPPER": name.upper()}
     page = re.sub("NAME|UPPER", lambda found: words[found[0]], _CONTROLLER_PAGE)
     harness = folder / "control_harness.c"
@@ -273,32 +274,49 @@ def controller_runner(folder: Path, control: ControlProgram) -> ControllerRun:
 
     def run(begun, measured, wanted, given):
         rows = (begun, measured, wanted, given)
-        out = np.zeros((len(wanted), control.counts["COMMANDS"]))
-        arrays = [np.append(np.ravel(a).astype(float), 0.0) for a in rows] + [out]
+        (samples, horizon), outputs = wanted.shape[:2], measured.shape[1]
+        shapes = (commands,), (horizon, outputs), (limits,), (outputs,), (2,)
+        found = [np.zeros((samples, *shape)) for shape in shapes]
+        arrays = [np.append(np.ravel(a).astype(float), 0.0) for a in rows] + found
         pointers = (x.ctypes.data_as(ctypes.c_void_p) for x in arrays)
-        call(ctypes.c_int(len(wanted)), *pointers)
-        return out
+        call(ctypes.c_int(samples), *pointers)
+        *numbers, flags = found
+        return (*numbers, *flags.T.astype(bool))
 
     return run
 
 
 _CONTROLLER_PAGE = """#include "NAME_control.h"
+static void copy(int n, const double *from, double *to)
+{
+    int k;
+    for (k = 0; k < n; k++)
+        to[k] = from[k];
+}
 void run(int n, const double *u, const double *y, const double *wanted,
-    const double *given, double *out);
+    const double *given, double *commands, double *outputs, double *excess,
+    double *disturbance, double *flags);
 void run(int n, const double *u, const double *y, const double *wanted,
-    const double *given, double *out)
+    const double *given, double *commands, double *outputs, double *excess,
+    double *disturbance, double *flags)
 {
     static NAME_controller c;
     NAME_decision now;
-    int t, k;
+    const int width = UPPER_CONTROL_HORIZON * UPPER_CONTROL_OUTPUTS;
+    int t;
     NAME_control_begin(&c, u, y);
     for (t = 0; t < n; t++) {
         NAME_control_step(&c, &y[(t + 1) * UPPER_CONTROL_OUTPUTS],
             &wanted[t * UPPER_CONTROL_HORIZON * UPPER_CONTROL_TARGETS],
             &given[t * UPPER_CONTROL_HORIZON * UPPER_CONTROL_GIVEN], &now);
-        for (k = 0; k < UPPER_CONTROL_COMMANDS; k++) {
-            out[t * UPPER_CONTROL_COMMANDS + k] = now.commands[k];
-        }
+        copy(UPPER_CONTROL_COMMANDS, now.commands,
+            &commands[t * UPPER_CONTROL_COMMANDS]);
+        copy(width, now.outputs, &outputs[t * width]);
+        copy(UPPER_CONTROL_LIMITS, now.excess, &excess[t * UPPER_CONTROL_LIMITS]);
+        copy(UPPER_CONTROL_OUTPUTS, now.disturbance,
+            &disturbance[t * UPPER_CONTROL_OUTPUTS]);
+        flags[2 * t] = now.solved;
+        flags[(2 * t) + 1] = now.restarted;
     }
 }
 """

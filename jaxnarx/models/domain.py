@@ -67,6 +67,11 @@ class Domain(eqx.Module):
         return twin(self, features=Variables.of(owners))
 
     @property
+    def slowest(self) -> float:
+        """Time constant [s] of the slowest filter of a feature; zero without any."""
+        return self.features.slowest
+
+    @property
     def inputs(self) -> tuple[int, ...]:
         """The inputs in use, by their place among the channels."""
         return tuple(dict.fromkeys(s for s, _ in self.features))

@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import positive
@@ -33,7 +33,6 @@ from jaxnarx.data import Batch
 from jaxnarx.models.domain import LARGEST_INDEX
 from jaxnarx.models.network import Network
 from jaxnarx.models.outside import HOLD
-from jaxnarx.regressors import Variables
 
 LEAST_HELD_SAMPLES = 10
 """Samples for which held inputs are trusted at least."""
@@ -78,12 +77,11 @@ def input_memory(network: Network) -> Any:
     """Samples for which the network remembers its inputs: as its domain knows, else the
     slowest of its filters, or ten times its history. A number, unless its sample time
     is traced."""
-    if network.domain is not None:
-        filters = _filters(network.domain.features)
-    else:
-        tables = (network.variables, *(m.scheduling for m in network.models))
-        filters = [f for table in tables for f in _filters(table)]
-    slowest = max((1 / -p.real for f in filters for p in f.sections), default=0.0)
+    if network.remembers is not None:
+        return network.remembers
+    tables = (network.variables, *(m.scheduling for m in network.models))
+    own = network.domain
+    slowest = max(t.slowest for t in tables) if own is None else own.slowest
     step = network.sample_time
     samples = slowest / (step if isinstance(step, Tracer) else float(step))
     if network.domain is not None and slowest > 0:
@@ -94,10 +92,6 @@ def input_memory(network: Network) -> Any:
     return max(samples, least)
 
 
-def _filters(table: Variables) -> list:
-    return [f for *_, f in table.entries if f is not None]
-
-
 def trusted_samples(network: Network) -> int:
     """Samples in a row with an input missing from which outputs are invalid."""
     if network.invalid_after is not None:
@@ -105,11 +99,12 @@ def trusted_samples(network: Network) -> int:
     return max(LEAST_HELD_SAMPLES, math.ceil(input_memory(network)))
 
 
-def largest_sizes(network: Network) -> Float[np.ndarray, " signals"]:
-    """Size from which a value of every signal is none, physical units."""
-    ends = np.abs([np.asarray(network.low, float), np.asarray(network.high, float)])
-    size = ends.max(axis=0)
-    return LARGEST_INDEX * np.where(size > ZERO_SIZE, size, 1.0)
+def largest_sizes(network: Network) -> Float[Array | np.ndarray, " signals"]:
+    """Size from which a value of every signal is none, physical units; on the host
+    unless the network is traced."""
+    xp = jnp if isinstance(network.low, Tracer) else np
+    size = xp.maximum(xp.abs(xp.asarray(network.low)), xp.abs(xp.asarray(network.high)))
+    return LARGEST_INDEX * xp.where(size > ZERO_SIZE, size, 1.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

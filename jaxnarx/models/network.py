@@ -163,7 +163,11 @@ class OutputModel(eqx.Module):
         weight = member * phi[None]
         total = weight.sum(axis=1, keepdims=True)
         there = total > 0
-        return jnp.where(there, weight / jnp.where(there, total, 1.0), equal)
+        total = jnp.where(there, total, 1.0)
+        # Far from all of a group the slope has the square of its total, which
+        # underflows: quotients of these sizes have not.
+        size = jax.lax.stop_gradient(total)
+        return jnp.where(there, (weight / size) / (total / size), equal)
 
 
 class Network(eqx.Module):
@@ -185,7 +189,8 @@ class Network(eqx.Module):
     its free run (`jaxnarx.models.error_model`). A free run starts from `history`
     measured samples, those of local models with their own feedback too; hidden channels
     start from what the outputs of `window` samples before tell about them
-    (`jaxnarx.models.observer`).
+    (`jaxnarx.models.observer`). `remembers` is for how many samples it remembers its
+    inputs where the domain that tells it has been left out of a program.
     """
 
     channels: Channels = eqx.field(static=True)
@@ -208,6 +213,7 @@ class Network(eqx.Module):
         default=None, kw_only=True
     )
     errors: ErrorModel | None = eqx.field(default=None, kw_only=True)
+    remembers: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
         for field, words in (("outside", OUTSIDE), ("nan", MISSING)):
@@ -312,8 +318,20 @@ class Network(eqx.Module):
         own = self.channels
         counts = len(own.inputs), len(own.outputs), len(own.hidden)
         bare = dict(domain=None, certificate=None, errors=None)
-        bare |= dict(nan=HOLD, invalid_after=None)
+        bare |= dict(nan=HOLD, invalid_after=None, remembers=self._domain_memory())
         return twin(self, channels=number_channels(*counts), **bare)
+
+    def _domain_memory(self) -> Float[Array, ""] | None:
+        """The memory of inputs that the domain tells, where a run needs it: what is
+        reported widens by it. Samples."""
+        if self.domain is None or self.hold is None or self.outside == HOLD:
+            return self.remembers
+        slowest, step = self.domain.slowest, self.sample_time
+        if not slowest:
+            return self.remembers
+        if isinstance(step, Tracer):
+            return slowest / step
+        return jax.device_put(np.asarray(slowest / np.asarray(step), step.dtype))
 
     @property
     def history(self) -> int:
@@ -430,7 +448,8 @@ class Network(eqx.Module):
         are but flagged.
 
         `signal` tells which signals the columns are, by default all in order; physical
-        units. The slope by an input is one up to and at the edge, and zero beyond.
+        units. The slope by an input is one up to and at the edge, and zero beyond; it
+        is zero for an input that was constant in training.
         """
         if self.plain:
             return values
@@ -438,8 +457,9 @@ class Network(eqx.Module):
         given, lead = at < len(self.channels.inputs), (1,) * (values.ndim - 1)
         low = jnp.where(given, self.low[at], -jnp.inf).reshape(*lead, -1)
         high = jnp.where(given, self.high[at], jnp.inf).reshape(*lead, -1)
-        # Not jnp.clip: its slope at the edge, where a constant input always is, is 1/2.
-        return jnp.where(values < low, low, jnp.where(values > high, high, values))
+        # Not jnp.clip, whose slope at the edge is 1/2.
+        beyond = (values < low) | (low == high)
+        return jnp.where(beyond, low, jnp.where(values > high, high, values))
 
     within = old_method("within", "hold_inputs")
 

@@ -215,7 +215,8 @@ def _rest(
         find_motion, solver, begin / size, max_steps=REST_STEPS, throw=False
     )
     good = found.result == optimistix.RESULTS.successful
-    return join_state(rest_memory(network, row, found.value * size)), good
+    z = jnp.where(good, found.value * size, begin)
+    return join_state(rest_memory(network, row, z)), good
 
 
 @program
@@ -289,7 +290,8 @@ class StateForm(eqx.Module):
         """A state of rest under constant inputs, x = f(x, u), and whether it was found.
 
         It uses Newton's method on the outputs from `start`, by default the middle of
-        their trained ranges; where there are several, the one that leads to.
+        their trained ranges. Of several states of rest it is the one to which that
+        leads; where it leads to none, the outputs of the state have been at `start`.
         Differentiable by the implicit function theorem (`optimistix.root_find`).
         """
         return equilibrium(self.network, u, start)

@@ -80,6 +80,12 @@ class Variables:
         """Largest lag; 0 without variables."""
         return max((d for _, d in self.rows), default=0)
 
+    @property
+    def slowest(self) -> float:
+        """Time constant [s] of the slowest filter; zero without any."""
+        filters = [f for *_, f in self.entries if f is not None]
+        return max((1 / -p.real for f in filters for p in f.sections), default=0.0)
+
     def require_measured(self, modelled: Collection[int], names: list[str]) -> None:
         """SpecError if a signal among `modelled` is filtered: it is not known before
         the run."""

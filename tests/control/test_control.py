@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import hidden_problems
 import jax
 import jax.numpy as jnp
@@ -12,11 +13,14 @@ from control_problems import TIME, A, B, linear, shifted, wanted
 from scipy.optimize import minimize
 
 import jaxnarx as jnx
+from jaxnarx.arrays import program
 from jaxnarx.control import Command, OutputLimit, close_loop, mpc, through_casadi
 from jaxnarx.control.controller import (
     LINEAR,
     SQUARE,
     domain_index,
+    keep_bounds,
+    plan_of,
     predict_outputs,
 )
 from jaxnarx.control.observer import advance_estimate, correct, split_error
@@ -226,6 +230,62 @@ def test_the_domain_is_kept_at_a_price():
             index[one is network, asked] = float(where[0, 0])
     assert 0.8 < index[True, 0.5] < 1.1
     assert 1.1 < index[True, 2.0] < 0.8 * index[False, 2.0]
+
+
+def test_commands_keep_their_bounds_exactly():
+    """The solution of a quadratic program does so up to its residual alone."""
+    controller = mpc(linear(), FREE, ["speed"], horizon=8).value
+    steps = np.linspace(9.0, -9.0, len(controller.blocks))[:, None]
+
+    @jax.jit
+    def kept(z):
+        z = keep_bounds(controller, z, jnp.array([0.8]))
+        return plan_of(controller, z)[:, 0]
+
+    down, up = np.asarray(kept(steps)), np.asarray(kept(-steps))
+    assert down[0] == 1.0 and down.min() == -1.0 and up.max() == 1.0
+    np.testing.assert_allclose(up[0], 0.8 - 1.0 * TIME)
+
+
+def test_values_that_no_sensor_gives_are_missing():
+    controller = mpc(linear(), FREE, ["speed"], horizon=8).value
+    runs = []
+    decision = None
+    for none in (np.nan, 1e30):
+        state = controller.begin([0.2, none], [0.1, none])
+        for _ in range(2):
+            state, decision = controller.step(state, [none, 0.1], [0.2], [none])
+        runs.append((state, decision))
+    for one, other in zip(*map(jax.tree.leaves, runs), strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert np.isfinite(one).all()
+
+
+def test_a_network_in_single_precision_is_taken_in_double():
+    def single(leaf):
+        return leaf.astype(np.float32) if eqx.is_inexact_array(leaf) else leaf
+
+    network = jax.tree.map(single, linear())
+    controller = mpc(network, FREE, ["speed"], horizon=8).value
+    decision = controller.step(
+        controller.begin([0.2, 0.0], [0.1, 0.1]), [0.1, 0.1], [0.2], [0.0]
+    )[1]
+    assert decision.solved and decision.commands.dtype == np.float64
+    with jax.enable_x64(False), pytest.raises(SpecError, match="double precision"):
+        mpc(network, FREE, ["speed"], horizon=8)
+
+
+def test_a_program_knows_the_memory_of_its_network():
+    """Names and domain are no part of a program: what the domain tells of the memory
+    is, by which what is reported widens."""
+    network = hold_to_range(network_and_cycle()[0])
+    high = np.asarray(network.high)[:2]
+    over = 2 * high - np.asarray(network.low)[:2]
+    x, within = network.init("steady", high[None]), program(type(network).step)
+    for u in (over, high, high):
+        alone, inside = network.step(x, u), within(network, x, u)
+        np.testing.assert_allclose(alone[0], inside[0], rtol=1e-12)
+        x = alone[0]
 
 
 def test_steps_are_pure():

@@ -9,7 +9,7 @@ import pytest
 from calibration_problems import network_and_cycle
 from common import some
 from control_problems import linear
-from kinds import problem
+from kinds import EVERY, problem
 
 import jaxnarx as jnx
 from jaxnarx.control import Command, OutputLimit, _export_controller, mpc
@@ -26,8 +26,6 @@ from jaxnarx.models import hold_to_range
 
 with_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 FREE = {"force": Command(low=-1.0, high=1.0, rate=1.0, effort=0.03)}
-STABLE = "one model", "coupled", "sum", "filters", "filters beyond", "hidden"
-"""Kinds of networks whose loops do not amplify round-off."""
 
 
 def controller_of(name: str, **more):
@@ -51,7 +49,8 @@ class Library:
         self.memory = np.zeros(100_000)
         self.decision = np.zeros(100)
         self.commands = len(controller.commands)
-        names = name_states(without_gaps(control.program))
+        names = list(name_states(without_gaps(control.program)))
+        self.states = len(names)
         self.fed_back = [k for k, name in enumerate(names) if name.startswith("y_")]
 
     def _call(self, what: str, *rows) -> None:
@@ -70,16 +69,32 @@ class Library:
         """Commands, and whether it was solved and begun anew."""
         self._call("step", measured, reference, given)
         flags = self.decision.view(np.int32)
-        at = 2 * (self.commands + 1 + 2)  # one limit or none, two outputs
+        # Outputs of eight samples, one limit or none, disturbances of two outputs.
+        at = 2 * (self.commands + 8 * 2 + 1 + 2)
         return self.decision[: self.commands].copy(), flags[at : at + 2].copy()
 
 
 @with_compiler
-@pytest.mark.parametrize("name", some(STABLE, "coupled", "sum"))
+@pytest.mark.parametrize("name", some(EVERY, "coupled", "root", "own feedback"))
 def test_it_decides_as_the_controller_does(name):
     found = export_controller(controller_of(name).value, name="m")
     assert found.difference["c, controller"] <= AGREEMENT
     assert set(found.files) == {"m_control.h", "m_control.c"}
+
+
+@with_compiler
+def test_it_begins_at_the_same_rest(tmp_path):
+    """Of a network that keeps roots, and far from all regions."""
+    controller = controller_of("root").value
+    network, c = controller.network, Library(controller, tmp_path)
+    random = np.random.default_rng(0)
+    for _ in range(30):
+        u = random.uniform(-1, 2, 2) * np.asarray(network.high[:2])
+        state = controller.begin(u, [0.0])
+        c.begin(u, [0.0])
+        np.testing.assert_allclose(
+            c.memory[c.states], state.estimate.offset[0], rtol=1e-8, atol=1e-8
+        )
 
 
 @with_compiler
@@ -157,6 +172,20 @@ def test_inputs_beyond_a_range_that_is_reported_as_nan(tmp_path):
     c.begin([0.2, -0.1], [0.1, 0.1])
     for load in (-0.1, 1.5, 1.5, -0.1):
         rows = [0.1, 0.1], np.full((8, 1), 0.1), np.full((8, 1), load)
+        state, decision = controller.step(state, *rows)
+        commands, (solved, _) = c.step(*rows)
+        assert bool(solved) and bool(decision.solved)
+        np.testing.assert_allclose(commands, decision.commands, atol=1e-8)
+
+
+@with_compiler
+def test_values_that_no_sensor_gives_are_missing(tmp_path):
+    controller = mpc(linear(), FREE, ["speed"], horizon=8).value
+    c = Library(controller, tmp_path)
+    state = controller.begin([0.2, 1e30], [0.1, -1e30])
+    c.begin([0.2, 1e30], [0.1, -1e30])
+    for measured, load in (([0.1, 1e30], -0.1), ([0.1, 0.1], 1e30)):
+        rows = measured, np.full((8, 1), 0.2), np.full((8, 1), load)
         state, decision = controller.step(state, *rows)
         commands, (solved, _) = c.step(*rows)
         assert bool(solved) and bool(decision.solved)

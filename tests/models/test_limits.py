@@ -70,6 +70,15 @@ def test_the_slope_by_an_input_is_one_up_to_the_edge_and_zero_beyond():
     np.testing.assert_array_equal(slope, [0, 1, 1, 1, 0])
 
 
+def test_the_slope_by_an_input_that_was_constant_in_training_is_zero():
+    held = ranged()
+    held = dataclasses.replace(held, low=held.low.at[A].set(held.high[A]))
+    rows = jnp.asarray([[HIGH[A] + off, 0.0, 0.0, 0.0] for off in (-1, 0.0, 1)])
+    value, slope = jax.jvp(held.hold_inputs, (rows,), (jnp.ones_like(rows),))
+    np.testing.assert_array_equal(value[:, A], np.full(3, HIGH[A]))
+    np.testing.assert_array_equal(slope[:, A], np.zeros(3))
+
+
 def test_lags_filters_and_scheduling_are_those_of_held_inputs():
     filters = (LowPass(0.5), None, LowPass(0.3))
     table, scheduling = (

@@ -231,6 +231,14 @@ def test_sensitivities_by_parameters_and_by_the_start():
         )
 
 
+def test_slopes_are_numbers_far_from_all_regions():
+    """Sizes of weights whose squares are too small for a number."""
+    net = own_feedback("both", bound=1e4)
+    slopes = jax.jit(jax.jacfwd(net.models[0].shares))
+    for size in (1e-170, 1e-300):
+        assert np.isfinite(slopes(np.array([1.0, size, 0.0]))).all()
+
+
 def test_poles_and_contraction_are_those_of_the_whole_state():
     """The state has an entry for the output and one for every local model; slopes by
     all of its past equal central differences of a step."""
