@@ -71,7 +71,10 @@ from jaxnarx.data.record import Record as Record
 from jaxnarx.data.runs import Run as Run
 from jaxnarx.data.scaling import gains as gains
 from jaxnarx.data.scaling import scaling_unit as scaling_unit
+from jaxnarx.data.units import LEVEL_QUANTITIES as LEVEL_QUANTITIES
+from jaxnarx.data.units import base_unit as base_unit
 from jaxnarx.data.units import dimension as dimension
+from jaxnarx.data.units import sum_over_time as sum_over_time
 from jaxnarx.deprecation import find_old as _find_old
 
 if TYPE_CHECKING:

@@ -54,6 +54,13 @@ _UNIT_SPELLINGS: dict[str, dict[str, tuple[float, float]]] = {
     },
     "torque": {"Nm|N·m|N*m|N.m": (1.0, 0.0), "kNm": (1e3, 0.0)},
     "power": {"W": (1.0, 0.0), "kW": (1e3, 0.0), "PS": (735.49875, 0.0)},
+    "energy": {
+        "J": (1.0, 0.0),
+        "kJ": (1e3, 0.0),
+        "MJ": (1e6, 0.0),
+        "Wh": (3600.0, 0.0),
+        "kWh": (3.6e6, 0.0),
+    },
     "mass": {"kg": (1.0, 0.0), "g": (1e-3, 0.0), "mg": (1e-6, 0.0)},
     "mass flow": {
         "kg/s": (1.0, 0.0),
@@ -93,6 +100,49 @@ _KNOWN_UNITS = {
     for name in names.split("|")
 }
 
+LEVEL_QUANTITIES = (
+    "temperature",
+    "pressure",
+    "speed of rotation",
+    "velocity",
+    "angle",
+    "length",
+)
+"""Quantities that are levels: a sum of them over a record means nothing."""
+_PER_TIME = {"/s": 1.0, "/sec": 1.0, "/min": 60.0, "/h": 3600.0}
+_INTEGRALS = {"W": ("J", 1.0), "kW": ("kJ", 1.0)}
+
+
+class BaseUnit(NamedTuple):
+    """A unit in those of SI and the radian: exponents by their names, and value in them
+    = factor * value + offset."""
+
+    exponents: dict[str, int]
+    factor: float
+    offset: float
+
+
+_BASE_UNITS: dict[str, tuple[dict[str, int], float]] = {
+    "dimensionless": ({}, 1.0),
+    "speed of rotation": ({"s": -1, "rad": 1}, math.pi / 30),
+    "pressure": ({"kg": 1, "m": -1, "s": -2}, 1.0),
+    "temperature": ({"K": 1}, 1.0),
+    "torque": ({"kg": 1, "m": 2, "s": -2}, 1.0),
+    "power": ({"kg": 1, "m": 2, "s": -3}, 1.0),
+    "energy": ({"kg": 1, "m": 2, "s": -2}, 1.0),
+    "mass": ({"kg": 1}, 1.0),
+    "mass flow": ({"kg": 1, "s": -1}, 1.0),
+    "mass per stroke": ({"kg": 1}, 1e-6),
+    "angle": ({"rad": 1}, math.pi / 180),
+    "time": ({"s": 1}, 1.0),
+    "velocity": ({"m": 1, "s": -1}, 1.0),
+    "length": ({"m": 1}, 1.0),
+    "voltage": ({"kg": 1, "m": 2, "s": -3, "A": -1}, 1.0),
+    "current": ({"A": 1}, 1.0),
+    "share of volume": ({}, 1.0),
+}
+"""What has the value one of a quantity in the table above."""
+
 
 def bare(unit: str) -> str:
     """The unit without brackets and what else only surrounds it."""
@@ -128,3 +178,27 @@ def dimension(unit: str) -> str | None:
 def is_known(unit: str) -> bool:
     """Whether it is one of the table."""
     return bare(unit) in _KNOWN_UNITS
+
+
+def base_unit(unit: str) -> BaseUnit | None:
+    """A unit in base units; None where it is not known."""
+    found = _KNOWN_UNITS.get(bare(unit))
+    if found is None:
+        return None
+    quantity, factor, offset = found
+    exponents, scale = _BASE_UNITS[quantity]
+    return BaseUnit(exponents, factor * scale, offset * scale)
+
+
+def sum_over_time(unit: str) -> tuple[str, float] | None:
+    """The unit of the sum over time of what has this unit, g of g/s, and by what value
+    times seconds is divided for it; None where it is no rate."""
+    text = bare(unit)
+    if dimension(text) in LEVEL_QUANTITIES:
+        return None
+    if text in _INTEGRALS:
+        return _INTEGRALS[text]
+    for ending, seconds in _PER_TIME.items():
+        if text.endswith(ending) and (head := text.removesuffix(ending).strip()):
+            return ("" if head == "1" else head), seconds
+    return None

@@ -5,7 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxnarx.data import Channels, Dataset, dimension, fingerprint, other_units
+from jaxnarx.data import (
+    LEVEL_QUANTITIES,
+    Channels,
+    Dataset,
+    dimension,
+    fingerprint,
+    other_units,
+)
 from jaxnarx.evaluation.rows import FREE_RUN, POOLED_NAME, Row, nrmse_within
 from jaxnarx.evaluation.table import name_data, number
 from jaxnarx.formatting import list_names
@@ -248,8 +255,6 @@ LISTED_GAINS = 3
 """Gains that change sign or jump that are told one by one."""
 LISTED_TOTALS = 4
 """Outputs whose cycle totals are told."""
-LEVELS = "temperature", "pressure", "speed of rotation", "velocity", "angle", "length"
-"""Quantities that are levels: a sum of them over a record means nothing."""
 
 
 def verdict_remarks(report: Any) -> Iterator[str]:
@@ -296,7 +301,7 @@ def _totals(report: Any) -> Iterator[str]:
                 FREE_RUN,
             )
             and row.record != POOLED_NAME
-            and dimension(row.unit) not in LEVELS
+            and dimension(row.unit) not in LEVEL_QUANTITIES
         ):
             found.setdefault(row.output, []).append(row.total_error)
     known = {k: [e for e in errors if e is not None] for k, errors in found.items()}

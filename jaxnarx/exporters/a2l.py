@@ -107,7 +107,8 @@ def _type(program: SampleProgram) -> str:
 def _measurements(program: SampleProgram) -> Iterable[tuple[str, Port, str]]:
     """Inputs, reported outputs and flags: name, port and symbol."""
     name = program.name
-    flags = [Port(flag, "", 0.0, 0.0) for flag in program.flags]
+    units = program.flag_units
+    flags = [Port(flag, units.get(flag, ""), 0.0, 0.0) for flag in program.flags]
     lists = (
         ("in", program.inputs, lambda k, word: f"{name}_in[{k}]"),
         ("out", program.reported, lambda k, word: f"{name}_now.reported[{k}]"),

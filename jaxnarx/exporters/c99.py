@@ -94,6 +94,11 @@ REFUSED_FLAGS = [
 ]
 
 
+def _unit(program: SampleProgram, flag: str) -> str:
+    unit = program.flag_units.get(flag)
+    return f" /* {comment(unit)} */" if unit else ""
+
+
 def _header(program: SampleProgram) -> str:
     name, upper = program.name, program.name.upper()
     lines = [
@@ -141,7 +146,7 @@ def _header(program: SampleProgram) -> str:
         f"    {name}_real reported[{len(program.reported)}];",
         f"    {name}_real fed[{len(program.computed)}];",
         f"    int limited[{len(program.computed)}];",
-        *(f"    {name}_real {flag};" for flag in program.flags),
+        *(f"    {name}_real {flag};{_unit(program, flag)}" for flag in program.flags),
         f"}} {name}_out;",
         "",
         "/* Parameters are constants, which a compiler may fold. Where a tool changes",

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from jaxnarx.deprecation import old_method
+from jaxnarx.exporters.names import identifiers
 
 ONLY_DOUBLE, ONLY_SINGLE, BOTH = PRECISIONS = "double", "single", "both"
 """Number types that C is written and proven for."""
@@ -228,6 +229,15 @@ class SampleProgram:
 
     def _count(self, values: Iterable[Value]) -> int:
         return sum(self.ops[n].kind not in SOURCE_KINDS for n in values)
+
+    @property
+    def flag_units(self) -> dict[str, str]:
+        """Units of the flags that have one: halves of intervals have that of their
+        output."""
+        words = identifiers(port.name for port in self.computed)
+        pairs = zip(words, self.computed, strict=True)
+        units = {f"{HALF_FLAG_PREFIX}{word}": port.unit for word, port in pairs}
+        return {flag: units[flag] for flag in self.flags if units.get(flag)}
 
     @property
     def cost(self) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxnarx.data import Channel, Channels, Dataset, match_channels, read
-from jaxnarx.data.units import conversion, same_unit
+from jaxnarx.data.units import base_unit, conversion, same_unit, sum_over_time
 from jaxnarx.errors import SpecError
 
 
@@ -43,6 +43,35 @@ def test_what_may_be_misread_is_not(old, new):
 def test_spellings_are_one_unit():
     assert same_unit("[1/min]", "rpm") and same_unit("-", "1") and same_unit("x", "(x)")
     assert not same_unit("bar", "kPa")
+
+
+def test_units_are_known_in_those_of_si():
+    """Conversions from one unit of a quantity to another are those over the base."""
+    for one, other in (("rpm", "1/s"), ("°F", "K"), ("psi", "bar"), ("g/h", "kg/s")):
+        a, b, there = base_unit(one), base_unit(other), conversion(one, other)
+        assert a is not None and b is not None and there is not None
+        assert a.exponents == b.exponents
+        np.testing.assert_allclose(a.factor / b.factor, there.factor, rtol=1e-12)
+        offset = (a.offset - b.offset) / b.factor
+        np.testing.assert_allclose(offset, there.offset, rtol=1e-12)
+    assert base_unit("furlong") is None
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected"),
+    [
+        ("g/s", ("g", 1.0)),
+        ("[kg/h]", ("kg", 3600.0)),
+        ("kW", ("kJ", 1.0)),
+        ("1/s", None),
+        ("#/s", ("#", 1.0)),
+        ("km/h", None),
+        ("ppm", None),
+        ("", None),
+    ],
+)
+def test_rates_are_told_from_levels(unit, expected):
+    assert sum_over_time(unit) == expected
 
 
 def test_single_precision_stays():

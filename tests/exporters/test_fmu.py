@@ -22,6 +22,7 @@ from common import some
 from jaxnarx.data import Channel, Channels, Dataset
 from jaxnarx.exporters import ExportError, Instance, a2l, c99, export, lower
 from jaxnarx.exporters.a2l import addresses_in
+from jaxnarx.exporters.code import digits
 from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
 from jaxnarx.exporters.fmu import fmu_runner, pack
 from jaxnarx.exporters.fmu.prove import load_memory
@@ -291,6 +292,55 @@ def test_what_a_program_tells_beside_becomes_an_output(tmp_path, version):
     assert unit.truth("limited.y") == [False]
     assert 0.0 not in unit.get("y", "w")
     unit.end()
+
+
+def metered() -> Network:
+    """The network with the rates of two masses."""
+    net = network()
+    inputs = Channel("a", "rpm"), Channel("b", "°C")
+    outputs = Channel("y", "kg/h"), Channel("w", "mg/s")
+    return dataclasses.replace(net, channels=Channels(inputs, outputs))
+
+
+def described(net: Network, version: int) -> bytes:
+    """An archive that has not been proven."""
+    golden = {k: np.zeros((1, 2)) for k in ("inputs", "measured", "outputs")}
+    return pack.fmu(version)(lower(net, "m"), golden)[f"m_fmi{version}.fmu"]
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_rates_are_summed_over_the_run(tmp_path, version):
+    content = described(metered(), version)
+    unit = Importer(fmu_problems.unpacked(content, tmp_path / "rates"))
+    unit.enter()
+    unit.set(["a", "b"], [0.3, 0.1])
+    at_once, per = np.array(unit.get("y", "w")), np.array([STEP / 3600, STEP])
+    np.testing.assert_allclose(unit.get("total.y", "total.w"), at_once * per)
+    unit.leave()
+    seen = []
+    for row in np.repeat(inputs(3), 2, axis=0):
+        unit.set(["a", "b"], row)
+        unit.step(len(seen) * STEP, STEP)
+        seen.append(unit.get("y", "w"))
+        expected = np.sum(seen, axis=0) * per
+        told = unit.get("total.y", "total.w")
+        np.testing.assert_allclose(told, expected, rtol=1e-12, atol=1e-15)
+    unit.end()
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_units_are_told_in_those_of_si(version):
+    with zipfile.ZipFile(BytesIO(described(metered(), version))) as packed:
+        root = ET.fromstring(packed.read("modelDescription.xml"))
+    bases = {
+        unit.get("name"): {k: v for one in unit for k, v in one.items()}
+        for unit in root.iter("Unit")
+    }
+    flow = {"kg": "1", "s": "-1", "factor": digits(1 / 3600), "offset": "0.0"}
+    assert bases["kg/h"] == flow
+    assert bases["°C"] == {"K": "1", "factor": "1.0", "offset": "273.15"}
+    assert float(bases["rpm"]["factor"]) == pytest.approx(2 * np.pi / 60)
+    assert {"kg", "mg"} <= set(bases)
 
 
 def test_a_model_without_a_past_and_one_that_says_nothing_outside(tmp_path):

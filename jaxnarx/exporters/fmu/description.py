@@ -4,6 +4,7 @@ import importlib.metadata
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
+from jaxnarx.data import base_unit
 from jaxnarx.exporters.code import digits
 from jaxnarx.exporters.fmu.variables import Quantity, units
 from jaxnarx.exporters.form import SampleProgram
@@ -136,7 +137,17 @@ def _units(root: ET.Element, variables: Sequence[Quantity]) -> None:
     if found:
         place = ET.SubElement(root, "UnitDefinitions")
         for unit in found:
-            ET.SubElement(place, "Unit", name=unit)
+            _set_base(ET.SubElement(place, "Unit", name=unit), unit)
+
+
+def _set_base(place: ET.Element, unit: str) -> None:
+    """Say what a unit is in those of SI, if it is known."""
+    base = base_unit(unit)
+    if base is not None:
+        numbers = {"factor": base.factor, "offset": base.offset}
+        told = {k: str(v) for k, v in base.exponents.items()}
+        told |= {k: digits(v) for k, v in numbers.items()}
+        ET.SubElement(place, "BaseUnit", told)
 
 
 def _items(place: ET.Element) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from html import escape
 
-from jaxnarx.exporters.fmu.variables import Quantity
+from jaxnarx.exporters.fmu.variables import Quantity, summed_outputs
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.interpret import STARTS
 
@@ -31,6 +31,9 @@ SLOPES_TEXT = """Directional derivatives are exact: of the reported outputs by t
 inputs and by the past outputs <code>past.*</code>, of the sample that the next step
 takes (in event mode, of the sample at hand). Where an output is held at a bound they
 are zero."""
+TOTALS_TEXT = """<code>total.*</code> are the sums of outputs that are rates over time,
+from the first sample of the run up to the one that is told: g of g/s, kg of kg/h, kJ of
+kW. Once an output was not a number its total is none."""
 STATE_TEXT = """State is got, set and serialised as a whole, time and inputs included;
 what was serialised by another model is refused."""
 LEARNING_TEXT = """While <code>learn</code> is 1 the coefficients follow the engine by
@@ -58,6 +61,7 @@ def page(
     texts = [SAMPLES_TEXT.format(step=f"{program.sample_time:g}"), INITIAL_TEXT]
     texts += [EVENTS_TEXT] if version == 3 else []
     texts += [DELAY_TEXT, STEPS_TEXT, LEARNING_TEXT if learns else SLOPES_TEXT]
+    texts += [TOTALS_TEXT] if summed_outputs(program) else []
     texts += [STATE_TEXT]
     texts += [escape(note) for note in program.notes]
     texts += [SOURCES_TEXT.format(version=version, name=program.name)]

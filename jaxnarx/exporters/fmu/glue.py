@@ -4,7 +4,12 @@ from collections.abc import Sequence
 from importlib import resources
 
 from jaxnarx.exporters.code import digits
-from jaxnarx.exporters.fmu.variables import LEARNT_TEXTS, Quantity, past_gains
+from jaxnarx.exporters.fmu.variables import (
+    LEARNT_TEXTS,
+    Quantity,
+    past_gains,
+    summed_outputs,
+)
 from jaxnarx.exporters.form import SampleProgram
 
 
@@ -57,12 +62,13 @@ def _definitions(
     learns: bool,
 ) -> list[str]:
     name, upper = program.name, program.name.upper()
-    outputs = len(program.reported)
+    outputs, totals = len(program.reported), summed_outputs(program)
     counts = {
         "INPUT": len(program.inputs) + (outputs + 1 if learns else 0),
         "REPORTED": outputs,
         "FLAG": len(program.flags),
         "LEARNT": len(LEARNT_TEXTS) * outputs if learns else 0,
+        "TOTAL": len(totals),
         "LIMITED": len(program.limited),
         "PAST": len(program.past),
         "START": 1 + program.history * (len(program.inputs) + len(program.computed)),
@@ -78,6 +84,8 @@ def _definitions(
         f"    v[{k}] = (double)out->{flag};" for k, flag in enumerate(program.flags)
     ]
     gains = past_gains(program)
+    steps = [program.sample_time / seconds for *_, seconds in totals]
+    places_summed = ", ".join(str(o) for o in (*(o for o, *_ in totals), 0))
     past = [
         f"    v[{k}] = {digits(gain)} * (double)s->{line}[{lag - 1}];"
         for k, ((line, lag), gain) in enumerate(zip(program.past, gains, strict=True))
@@ -92,6 +100,7 @@ def _definitions(
         f"#define FLAGS {len(program.flags)}",
         f"#define LEARNS {int(learns)}",
         f"#define LEARNT {counts['LEARNT']}",
+        f"#define TOTALS {len(totals)}",
         f"#define PAST {upper}_PAST",
         f"#define LAGS {len(lags)}",
         f"#define ROWS {max(program.history, 1)}",
@@ -99,6 +108,8 @@ def _definitions(
         _numbers("fmi_input_starts[FMI_AT_REPORTED]", starts),
         _numbers("fmi_lag_starts[LAGS + 1]", [*lags, 0.0]),
         _numbers("fmi_past_gains[PAST + 1]", [*gains, 1.0]),
+        _numbers("fmi_total_steps[TOTALS + 1]", [*steps, 0.0]),
+        f"static const size_t fmi_total_outputs[TOTALS + 1] = {{{places_summed}}};",
         "",
         f"static void fmi_unit_flags(const {name}_out *out, double *v)",
         "{",

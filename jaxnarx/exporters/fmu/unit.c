@@ -19,6 +19,7 @@ typedef struct {
     int rests;
     double u[FMI_AT_REPORTED]; /* inputs; of one that learns measured outputs too */
     double lag[LAGS + 1];
+    double total[TOTALS + 1]; /* sums over time, before the sample that is due */
     memory past; /* before the sample that is due */
     memory next; /* behind it */
     NAME_out now;
@@ -94,6 +95,21 @@ static void fmi_unit_evaluate(unit *m)
     m->fresh = 1;
 }
 
+/* What a sample adds to a sum over time. */
+static double fmi_unit_part(const unit *m, int k)
+{
+    return fmi_total_steps[k] * (double)m->now.reported[fmi_total_outputs[k]];
+}
+
+/* Add a sample to the sums over time. */
+static void fmi_unit_add(unit *m)
+{
+    int k;
+    for (k = 0; k < TOTALS; k++) {
+        m->total[k] += fmi_unit_part(m, k);
+    }
+}
+
 static double fmi_unit_time(const unit *m)
 {
     return m->start_time + (double)m->samples * UPPER_SAMPLE_TIME;
@@ -135,10 +151,12 @@ static void fmi_unit_take(unit *m, int64_t steps)
     fmi_unit_inputs(m, u);
     if (m->fresh) {
         m->past = m->next;
+        fmi_unit_add(m);
         n = 1;
     }
     for (; n < steps; n++) {
         take_sample(&m->past, u, &m->u[UPPER_INPUTS], &m->now);
+        fmi_unit_add(m);
     }
     m->samples += steps;
     m->fresh = 0;
@@ -176,10 +194,17 @@ static int fmi_unit_get_real(unit *m, unsigned int at, double *value)
         double flag[FLAGS + 1];
         fmi_unit_flags(&m->now, flag);
         *value = flag[at - FMI_AT_FLAG];
-    } else if (at < FMI_AT_LIMITED) {
+    } else if (at < FMI_AT_TOTAL) {
         double learnt[LEARNT + 1];
         fmi_unit_learnt(&m->past, learnt);
         *value = learnt[at - FMI_AT_LEARNT];
+    } else if (at < FMI_AT_LIMITED) {
+        const int k = (int)(at - FMI_AT_TOTAL);
+        *value = m->total[k];
+        if (m->phase <= EVENT) {
+            /* of the sample that is due too */
+            *value += fmi_unit_part(m, k);
+        }
     } else {
         double past[PAST + 1];
         fmi_unit_past(run_of(&m->past), past);

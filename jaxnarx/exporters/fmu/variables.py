@@ -1,13 +1,14 @@
 """The variables of an FMU: what an importer sees of a program, in order.
 
 A value's reference is its place here: inputs, those that a model learns from, reported
-outputs, flags, what has been learnt, whether bounds acted, past outputs, the choice of
-a start, and values given from before it.
+outputs, flags, what has been learnt, totals, whether bounds acted, past outputs, the
+choice of a start, and values given from before it.
 """
 
 import dataclasses
 from collections.abc import Iterable
 
+from jaxnarx.data import sum_over_time
 from jaxnarx.exporters.form import Port, SampleProgram, Value
 
 LIMITED_TEXT = "the bound of what is fed back has acted on"
@@ -82,7 +83,18 @@ def quantities(
         for p, n in zip(program.reported, program.outputs, strict=True)
     ]
     flags = [
-        output(name(flag), n, "real", _flag(flag)) for flag, n in program.flags.items()
+        output(name(flag), n, "real", _flag(flag), program.flag_units.get(flag, ""))
+        for flag, n in program.flags.items()
+    ]
+    totals = [
+        output(
+            name(f"total.{program.reported[o].name}"),
+            program.outputs[o],
+            "real",
+            f"{program.reported[o].name}, summed over the run up to this sample",
+            unit,
+        )
+        for o, unit, _ in summed_outputs(program)
     ]
     learnt = [
         Quantity(
@@ -125,9 +137,16 @@ def quantities(
         for k in range(program.history)
     ]
     time = Quantity(name("time"), "time", "independent", "time", "s")
-    own = (*inputs, *measured, *reported, *flags, *learnt)
+    own = (*inputs, *measured, *reported, *flags, *learnt, *totals)
     found = (*own, *limited, *past, choice, *lags)
     return (*found, time) if version == 3 else found
+
+
+def summed_outputs(program: SampleProgram) -> list[tuple[int, str, float]]:
+    """Reported outputs that are rates: place, unit of their sum over time, and by what
+    value times seconds is divided for it."""
+    found = [(o, sum_over_time(p.unit)) for o, p in enumerate(program.reported)]
+    return [(o, *one) for o, one in found if one is not None]
 
 
 def past_entries(program: SampleProgram) -> list[tuple[int, int]]:
