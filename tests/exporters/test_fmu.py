@@ -27,7 +27,9 @@ from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
 from jaxnarx.exporters.fmu import fmu_runner, pack
 from jaxnarx.exporters.fmu.prove import load_memory
 from jaxnarx.exporters.fmu.xcp import xcp_files
+from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.interpret import STARTS
+from jaxnarx.exporters.maps import FREE_AXIS, rest_maps
 from jaxnarx.exporters.proof import make_cases
 from jaxnarx.exporters.target import as_bytes
 from jaxnarx.models import Network, hold_to_range
@@ -276,14 +278,23 @@ def test_bounds_flags_and_the_past_are_variables(place):
     assert seen == {0.0, 1.0, 2.0, 3.0}, "something that is to be seen never occurs"
 
 
+def packed_alone(program: SampleProgram, version: int) -> bytes:
+    """An archive that has not been proven."""
+    golden = {k: np.zeros((1, 2)) for k in ("inputs", "measured", "outputs")}
+    golden["axes"] = np.full((len(program.reported), 2), FREE_AXIS)
+    content = pack.fmu(version)(program, golden)[f"m_fmi{version}.fmu"]
+    assert isinstance(content, bytes)
+    return content
+
+
 @pytest.mark.parametrize("version", [2, 3])
 def test_what_a_program_tells_beside_becomes_an_output(tmp_path, version):
     program = lower(network(), "m")
     flags = {**program.flags, "twice": program.fed[0], "band_w": program.fed[1]}
     program = dataclasses.replace(program, flags=flags)
-    golden = {k: np.zeros((1, 2)) for k in ("inputs", "measured", "outputs")}
-    content = pack.fmu(version)(program, golden)[f"m_fmi{version}.fmu"]
-    unit = Importer(fmu_problems.unpacked(content, tmp_path / "more"))
+    unit = Importer(
+        fmu_problems.unpacked(packed_alone(program, version), tmp_path / "more")
+    )
     unit.enter()
     unit.set(["a", "b"], [0.3, 0.1])
     unit.leave()
@@ -302,15 +313,9 @@ def metered() -> Network:
     return dataclasses.replace(net, channels=Channels(inputs, outputs))
 
 
-def described(net: Network, version: int) -> bytes:
-    """An archive that has not been proven."""
-    golden = {k: np.zeros((1, 2)) for k in ("inputs", "measured", "outputs")}
-    return pack.fmu(version)(lower(net, "m"), golden)[f"m_fmi{version}.fmu"]
-
-
 @pytest.mark.parametrize("version", [2, 3])
 def test_rates_are_summed_over_the_run(tmp_path, version):
-    content = described(metered(), version)
+    content = packed_alone(lower(metered(), "m"), version)
     unit = Importer(fmu_problems.unpacked(content, tmp_path / "rates"))
     unit.enter()
     unit.set(["a", "b"], [0.3, 0.1])
@@ -330,7 +335,9 @@ def test_rates_are_summed_over_the_run(tmp_path, version):
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_units_are_told_in_those_of_si(version):
-    with zipfile.ZipFile(BytesIO(described(metered(), version))) as packed:
+    with zipfile.ZipFile(
+        BytesIO(packed_alone(lower(metered(), "m"), version))
+    ) as packed:
         root = ET.fromstring(packed.read("modelDescription.xml"))
     bases = {
         unit.get("name"): {k: v for one in unit for k, v in one.items()}
@@ -341,6 +348,46 @@ def test_units_are_told_in_those_of_si(version):
     assert bases["°C"] == {"K": "1", "factor": "1.0", "offset": "273.15"}
     assert float(bases["rpm"]["factor"]) == pytest.approx(2 * np.pi / 60)
     assert {"kg", "mg"} <= set(bases)
+
+
+def resting() -> Network:
+    """A network that comes to rest wherever its inputs are."""
+    part = common.Part([[((2,), 0.5), ((0,), 1.0), ((1,), 0.3)]])
+    return common.network([part], variables=((0, 0), (1, 1), (2, 1)))
+
+
+def test_maps_at_rest_are_constants_that_terminals_group(tmp_path):
+    """As FMI-LS-STRUCT 1.0.0-rc.1 wants it; fmpy reads the arrays."""
+    program = lower(resting(), "m")
+    place = fmu_problems.unpacked(packed_alone(program, 3), tmp_path / "maps")
+    (one,) = rest_maps(program, np.full((1, 2), FREE_AXIS))
+    assert np.isfinite(one.values).all()
+    root = ET.parse(place / "terminalsAndIcons" / "terminalsAndIcons.xml").getroot()
+    (terminal,) = root.iter("Terminal")
+    kind = "org.fmi-standard.fmi-ls-struct.map"
+    assert terminal.get("terminalKind") == f"{kind}.rectilinearGrid"
+    members = [(m.get("variableKind"), m.get("variableName")) for m in terminal]
+    first, second = (port.name for port in one.axes)
+    assert members == [
+        (f"{kind}.domain", f"rest.y.{first}"),
+        (f"{kind}.domainInput", first),
+        (f"{kind}.domain", f"rest.y.{second}"),
+        (f"{kind}.domainInput", second),
+        (f"{kind}.codomain", "rest.y"),
+    ]
+    about = fmpy.read_model_description(str(place))
+    variables = {v.name: v for v in about.modelVariables}
+    unit = Importer(place)
+    unit.enter()
+    at = [variables[name].valueReference for name in ("y", "rest.y", f"rest.y.{first}")]
+    told = unit.own.getFloat64(at, nValues=1 + 121 + 11)
+    np.testing.assert_array_equal(told[1:122], one.values.ravel())
+    np.testing.assert_array_equal(told[122:], one.points[0])
+    with pytest.raises(REFUSED):
+        unit.own.getFloat64(at, nValues=3)
+    unit.end()
+    manifest = place / "extra" / kind.removesuffix(".map") / "fmi-ls-manifest.xml"
+    assert 'fmi-ls:fmi-ls-version="1.0.0-rc.1"' in manifest.read_text()
 
 
 def test_a_model_without_a_past_and_one_that_says_nothing_outside(tmp_path):

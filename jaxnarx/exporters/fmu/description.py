@@ -6,6 +6,7 @@ from xml.etree import ElementTree as ET
 
 from jaxnarx.data import base_unit
 from jaxnarx.exporters.code import digits
+from jaxnarx.exporters.fmu.markup import xml_text
 from jaxnarx.exporters.fmu.variables import Quantity, units
 from jaxnarx.exporters.form import SampleProgram
 from jaxnarx.exporters.interpret import STARTS
@@ -59,7 +60,7 @@ def fmi2(
             sees = " ".join(str(k + 1) for k in v.sees)
             ET.SubElement(outputs, "Unknown", index=str(n + 1), dependencies=sees)
             ET.SubElement(first, "Unknown", index=str(n + 1))
-    return _text(root)
+    return xml_text(root)
 
 
 def fmi3(
@@ -105,7 +106,7 @@ def fmi3(
         )
     for n, _ in outputs:
         ET.SubElement(structure, "InitialUnknown", valueReference=str(n))
-    return _text(root)
+    return xml_text(root)
 
 
 def build(program: SampleProgram, sources: Sequence[str]) -> str:
@@ -115,7 +116,7 @@ def build(program: SampleProgram, sources: Sequence[str]) -> str:
     files = ET.SubElement(one, "SourceFileSet", language="C99")
     for name in sources:
         ET.SubElement(files, "SourceFile", name=name)
-    return _text(root)
+    return xml_text(root)
 
 
 def _root(program: SampleProgram, version: str, **named: str) -> ET.Element:
@@ -175,6 +176,9 @@ def _common(element: ET.Element, v: Quantity) -> None:
     if v.kind == "time":
         element.set("variability", "continuous")
         return
+    if v.shape:
+        element.set("variability", "constant")
+        return
     parameter = v.causality == "parameter"
     element.set("variability", "fixed" if parameter else "discrete")
     if v.causality != "input":
@@ -186,12 +190,10 @@ def _set_type(element: ET.Element, v: Quantity) -> None:
         element.set("declaredType", "Start")
     if v.unit:
         element.set("unit", v.unit)
+    if v.shape:
+        element.set("start", " ".join(map(digits, v.values)))
+        for size in v.shape:
+            ET.SubElement(element, "Dimension", start=str(size))
     if v.start is not None:
         whole = v.kind == "choice"
         element.set("start", str(int(v.start)) if whole else digits(v.start))
-
-
-def _text(root: ET.Element) -> str:
-    ET.indent(root)
-    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
-    return head + ET.tostring(root, encoding="unicode") + "\n"

@@ -34,6 +34,9 @@ are zero."""
 TOTALS_TEXT = """<code>total.*</code> are the sums of outputs that are rates over time,
 from the first sample of the run up to the one that is told: g of g/s, kg of kg/h, kJ of
 kW. Once an output was not a number its total is none."""
+MAPS_TEXT = """<code>rest.*</code> are maps of outputs at rest over the inputs that
+matter most, with the points of their axes: constants, which terminals group as
+FMI-LS-STRUCT wants it."""
 STATE_TEXT = """State is got, set and serialised as a whole, time and inputs included;
 what was serialised by another model is refused."""
 LEARNING_TEXT = """While <code>learn</code> is 1 the coefficients follow the engine by
@@ -62,6 +65,7 @@ def page(
     texts += [EVENTS_TEXT] if version == 3 else []
     texts += [DELAY_TEXT, STEPS_TEXT, LEARNING_TEXT if learns else SLOPES_TEXT]
     texts += [TOTALS_TEXT] if summed_outputs(program) else []
+    texts += [MAPS_TEXT] if any(v.shape for v in variables) else []
     texts += [STATE_TEXT]
     texts += [escape(note) for note in program.notes]
     texts += [SOURCES_TEXT.format(version=version, name=program.name)]

@@ -227,19 +227,60 @@ fmi3Status fmi3Reset(fmi3Instance instance)
     return fmi3OK;
 }
 
+/* Constant arrays stand behind all other variables. */
+
+static int fmi_is_array(unsigned int at)
+{
+    return at > FMI_AT_TIME && at - FMI_AT_TIME <= ARRAYS;
+}
+
+static size_t fmi_count_of(unsigned int at)
+{
+#if ARRAYS
+    if (fmi_is_array(at)) {
+        const unsigned int k = at - FMI_AT_TIME;
+        return fmi_array_starts[k] - fmi_array_starts[k - 1u];
+    }
+#endif
+    (void)at;
+    return 1;
+}
+
+static void fmi_copy_array(unsigned int at, double *to)
+{
+#if ARRAYS
+    const size_t first = fmi_array_starts[at - FMI_AT_TIME - 1u];
+    memcpy(to, &fmi_arrays[first], fmi_count_of(at) * sizeof(*to));
+#endif
+    (void)at;
+    (void)to;
+}
+
 fmi3Status fmi3GetFloat64(fmi3Instance instance,
                           const fmi3ValueReference valueReferences[],
                           size_t nValueReferences, fmi3Float64 values[], size_t nValues)
 {
     component *own = instance;
+    size_t place = 0;
     size_t k;
-    if (own == NULL || nValues != nValueReferences) {
-        return refused(own, "fmi3GetFloat64: every variable is one number");
+    if (own == NULL) {
+        return fmi3Error;
     }
-    for (k = 0; k < nValues; k++) {
-        if (!fmi_unit_get_real(&own->m, valueReferences[k], &values[k])) {
+    for (k = 0; k < nValueReferences; k++) {
+        place += fmi_count_of(valueReferences[k]);
+    }
+    if (place != nValues) {
+        return refused(own, "fmi3GetFloat64: there are other numbers than values");
+    }
+    place = 0;
+    for (k = 0; k < nValueReferences; k++) {
+        const unsigned int at = valueReferences[k];
+        if (fmi_is_array(at)) {
+            fmi_copy_array(at, &values[place]);
+        } else if (!fmi_unit_get_real(&own->m, at, &values[place])) {
             return refused(own, "fmi3GetFloat64: there is no such variable");
         }
+        place += fmi_count_of(at);
     }
     return fmi3OK;
 }

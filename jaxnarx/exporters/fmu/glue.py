@@ -105,6 +105,7 @@ def _definitions(
         f"#define LAGS {len(lags)}",
         f"#define ROWS {max(program.history, 1)}",
         "",
+        *_arrays(variables),
         _numbers("fmi_input_starts[FMI_AT_REPORTED]", starts),
         _numbers("fmi_lag_starts[LAGS + 1]", [*lags, 0.0]),
         _numbers("fmi_past_gains[PAST + 1]", [*gains, 1.0]),
@@ -121,6 +122,23 @@ def _definitions(
         *(past or ["    (void)s;", "    (void)v;"]),
         "}",
         "",
+    ]
+
+
+def _arrays(variables: Sequence[Quantity]) -> list[str]:
+    """Constant arrays behind the other variables: their numbers, and where each one's
+    begin."""
+    arrays = [v for v in variables if v.shape]
+    if not arrays:
+        return ["#define ARRAYS 0u"]
+    starts = [0]
+    for one in arrays:
+        starts.append(starts[-1] + len(one.values))
+    places = ", ".join(map(str, starts))
+    return [
+        f"#define ARRAYS {len(arrays)}u",
+        f"static const size_t fmi_array_starts[ARRAYS + 1] = {{{places}}};",
+        _numbers(f"fmi_arrays[{starts[-1]}]", [x for v in arrays for x in v.values]),
     ]
 
 

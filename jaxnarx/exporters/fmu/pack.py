@@ -8,7 +8,7 @@ import platform
 import subprocess
 import uuid
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from jaxnarx.exporters import c99
@@ -16,9 +16,11 @@ from jaxnarx.exporters.compilers import WARNING_FLAGS, compilers
 from jaxnarx.exporters.fmu import description
 from jaxnarx.exporters.fmu.documentation import page
 from jaxnarx.exporters.fmu.glue import read_template, wrapper
+from jaxnarx.exporters.fmu.structure import structure_files, structure_maps
 from jaxnarx.exporters.fmu.variables import quantities
 from jaxnarx.exporters.fmu.xcp import writable, xcp_files
 from jaxnarx.exporters.form import BOTH, ONLY_DOUBLE, ONLY_SINGLE, SampleProgram
+from jaxnarx.exporters.maps import RestMap, rest_maps
 from jaxnarx.exporters.proof import ExportError
 from jaxnarx.exporters.target import Files, Golden, as_bytes
 from jaxnarx.files import TemporaryFolder
@@ -39,9 +41,9 @@ def fmu(version: int) -> Callable[[SampleProgram, Golden], Files]:
 def _pack_files(program: SampleProgram, golden: Golden, *, version: int) -> Files:
     if program.precision == ONLY_SINGLE:  # the binary is of double
         program = dataclasses.replace(program, precision=BOTH)
-    return _pack(
-        program, contents(program, c99.sources(program, golden), version), version
-    )
+    maps = rest_maps(program, golden["axes"]) if version == 3 else ()
+    code = c99.sources(program, golden)
+    return _pack(program, contents(program, code, version, maps=maps), version)
 
 
 def learning_fmu(program: SampleProgram, code: Files, version: int) -> Files:
@@ -70,11 +72,18 @@ def archive_name(program: SampleProgram, version: int) -> str:
 
 
 def contents(
-    program: SampleProgram, code: Files, version: int, *, learns: bool = False
+    program: SampleProgram,
+    code: Files,
+    version: int,
+    *,
+    learns: bool = False,
+    maps: Sequence[RestMap] = (),
 ) -> dict[str, str]:
     """Everything but a binary, by its place in the archive."""
     name = program.name
     variables = quantities(program, version, learns=learns)
+    structured = structure_maps(maps, program, variables)
+    variables += tuple(v for one in structured for v in (*one.axes, one.values))
     memory = read_template("learns.c" if learns else "fixed.c")
     texts = [*code.values(), variables, read_template("unit.c"), memory, version]
     whole = "".join(map(str, texts))
@@ -105,6 +114,7 @@ def contents(
             program, variables, token, slopes=not learns
         ),
         **found,
+        **structure_files(structured),
         "sources/buildDescription.xml": description.build(program, sources),
     }
 

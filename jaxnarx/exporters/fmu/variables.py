@@ -2,7 +2,7 @@
 
 A value's reference is its place here: inputs, those that a model learns from, reported
 outputs, flags, what has been learnt, totals, whether bounds acted, past outputs, the
-choice of a start, and values given from before it.
+choice of a start, values given from before it, time, and constant maps.
 """
 
 import dataclasses
@@ -31,8 +31,11 @@ LEARN_TEXT = "1: learn from the measured outputs, as they are set"
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """One variable; `kind` is `real`, `boolean`, `choice` or `time`, `sees` the inputs
-    that an output depends on at its own time."""
+    """One variable; `kind` is `real`, `boolean`, `choice`, `time` or `array`.
+
+    `sees` are the inputs that an output depends on at its own time, `shape` and
+    `values` those of a constant array.
+    """
 
     name: str
     kind: str
@@ -41,6 +44,8 @@ class Quantity:
     unit: str = ""
     start: float | None = None
     sees: tuple[int, ...] = ()
+    values: tuple[float, ...] = ()
+    shape: tuple[int, ...] = ()
 
 
 def quantities(
@@ -51,7 +56,7 @@ def quantities(
     taken: set[str] = set()
 
     def name(text: str) -> str:
-        return _free(text, taken)
+        return free_name(text, taken)
 
     def output(label: str, n: Value, kind: str, about: str, unit: str = "") -> Quantity:
         ops = (program.ops[k] for k in program.needed_operations([n]))
@@ -188,7 +193,7 @@ def _middle(port: Port) -> float:
     return 0.5 * (port.low + port.high)
 
 
-def _free(text: str, taken: set[str]) -> str:
+def free_name(text: str, taken: set[str]) -> str:
     """Different from what is taken; channels have no names that XML cannot carry."""
     found, n = text, 2
     while found in taken:

@@ -13,6 +13,7 @@ from xml.etree import ElementTree as ET
 
 from jaxnarx.exporters.a2l import a2l_text
 from jaxnarx.exporters.c99 import parameter_line
+from jaxnarx.exporters.fmu.markup import layered_manifest, xml_text
 from jaxnarx.exporters.form import SampleProgram
 
 NAME, VERSION = "org.fmi-standard.fmi-ls-xcp", "1.0.0"
@@ -23,7 +24,6 @@ ABOUT = (
     "access via A2L files."
 )
 """The description that the standard demands."""
-MANIFEST = "http://fmi-standard.org/fmi-ls-manifest"
 USE = """How to calibrate this FMU by XCP
 
 The importer's XCP service reads and writes the memory of the binary. Addresses in
@@ -79,12 +79,7 @@ def xcp_files(
 
 
 def _manifest(file: str) -> str:
-    ET.register_namespace("fmi-ls", MANIFEST)
-    own = {"name": NAME, "version": VERSION, "description": ABOUT}
-    root = ET.Element(
-        "fmiLayeredStandardManifest",
-        {f"{{{MANIFEST}}}fmi-ls-{k}": text for k, text in own.items()},
-    )
+    root = layered_manifest(NAME, VERSION, ABOUT)
     ET.SubElement(
         root,
         "Interface",
@@ -92,9 +87,7 @@ def _manifest(file: str) -> str:
         description="Parameters, inputs and outputs of the model",
         supportsDirectMemoryAccess="true",
     )
-    ET.indent(root)
-    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
-    return head + ET.tostring(root, encoding="unicode") + "\n"
+    return xml_text(root)
 
 
 def symbols_of(library: bytes) -> dict[str, int]:
