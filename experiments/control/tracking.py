@@ -15,11 +15,12 @@ is commanded as its inverse, of which lambda is linear. `pfi`: speed by the duty
 bypass valve.
 
 Beside the engine that the records come from stand engines with every parameter off by
-about a tenth; and steps of constant references, of which the error that is left at
-their ends counts, in standard deviations of the references. Without a preview the
-controller knows references and other inputs of the present alone. With `--tuned` a
-second controller has efforts that `jnx.control.tune_effort` finds against the networks
-of the jackknife, over the references of the record left out.
+about a tenth; and steps of constant references that can be reached within the limits,
+of which the error that is left at their ends counts, in standard deviations of the
+references. Without a preview the controller knows references and other inputs of the
+present alone. With `--tuned` a second controller has efforts that
+`jnx.control.tune_effort` finds against the networks of the jackknife, over the
+references of the record left out.
 
     python experiments/control/tracking.py [--beds gtdi pfi] [--seeds 1 2 3 4 5]
         [--models identify] [--tuned]
@@ -41,7 +42,7 @@ import numpy as np
 
 import jaxnarx as jnx
 from jaxnarx.calibration import AbstractPlant, EnginePlant
-from jaxnarx.control import Command, OutputLimit
+from jaxnarx.control import Command, Controller, OutputLimit
 from jaxnarx.engines import Gtdi, Pfi
 
 HERE = Path(__file__).resolve().parent
@@ -61,6 +62,8 @@ FORWARD, EVENTS = "spark and throttle", 4
 """The task of chapter 7's feedforward, and events of a sample there."""
 HOLD = 200
 """Samples of a constant reference, of which the last third is judged."""
+DRAWN = 4
+"""References that are drawn for each that is used, if limits leave it."""
 SKIPPED = 20
 """Samples at the begin of a run that do not count."""
 BELOW = 0.95
@@ -209,17 +212,22 @@ def run_plant(plant: AbstractPlant, u: Any) -> Any:
     return jax.lax.scan(take, plant.begin(u[0])[0], u)[1]
 
 
-def levels(bench: Bench, plant: AbstractPlant) -> jnx.Dataset:
+def levels(bench: Bench, plant: AbstractPlant, controller: Controller) -> jnx.Dataset:
     """Inputs that are held, and where the outputs of a plant come to rest under them:
-    references that it can reach."""
+    references that it can reach without leaving the controller's limits."""
     u, _ = bench.record(100, noise=0.0)
     random = np.random.default_rng(bench.seed)
     smooth = np.stack([_smooth(c) for c in u.T], axis=1)
     count = max(1, bench.length // HOLD)
-    held = np.repeat(smooth[random.choice(len(u), count)], HOLD, axis=0)
-    y = np.asarray(run_plant(plant, jnp.asarray(held)))
-    ends = np.repeat(y[HOLD - 1 :: HOLD], HOLD, axis=0)
-    return bench.data([(held, ends)])
+    drawn = smooth[random.choice(len(u), DRAWN * count)]
+    y = np.asarray(run_plant(plant, jnp.asarray(np.repeat(drawn, HOLD, axis=0))))
+    ends = y[HOLD - 1 :: HOLD]
+    names = [controller.network.output_names[o] for o in controller.bounded]
+    at = [bench.plant.outputs.index(n) for n in names]
+    most = np.asarray(controller.ceiling - controller.guard)
+    within = np.flatnonzero(np.all(ends[:, at] <= most, axis=1))[:count]
+    pairs = (np.repeat(a[within], HOLD, axis=0) for a in (drawn, ends))
+    return bench.data([tuple(pairs)])
 
 
 def feedforward(bench: Bench, wanted: jnx.Dataset) -> dict[str, float]:
@@ -304,24 +312,28 @@ def task_rows(bench: Bench, name: str, small: bool, tuned: bool) -> dict[str, An
         drive("without a limit", bench.plant, wanted, free.value)
     if name == FORWARD:
         told["feedforward of chapter 7"] = [feedforward(bench, wanted)]
-    calm = None
+    ways = {"": controller}
     if tuned:
         found = jnx.control.tune_effort(
             controller, bench.others, bench.left, noise=bench.bed.noise
         )
-        calm = found.value
-        drive("engine, efforts tuned", bench.plant, wanted, calm)
+        ways[", efforts tuned"] = found.value
+        drive("engine, efforts tuned", bench.plant, wanted, found.value)
         told["engine, efforts tuned"][-1]["factor"] = found.stats["factor"]
-    run = drive("constant references", bench.plant, levels(bench, bench.plant))
-    told["constant references"][-1] |= left(run)
+
+    def drive_all(title: str, plant: AbstractPlant, asked: jnx.Dataset, *, ends=True):
+        for way, own in ways.items():
+            run = drive(f"{title}{way}", plant, asked, own)
+            if ends:
+                told[f"{title}{way}"][-1] |= left(run)
+
+    asked = levels(bench, bench.plant, controller)
+    drive_all("constant references", bench.plant, asked)
     for n in range(1 if small else SISTERS):
         sister = bench.bed.make().perturb(jax.random.fold_in(key, n), SPREAD)
         plant = bench.bed.plant(sister)
-        drive("sisters", plant, wanted)
-        if calm is not None:
-            drive("sisters, efforts tuned", plant, wanted, calm)
-        run = drive("sisters, constant", plant, levels(bench, plant))
-        told["sisters, constant"][-1] |= left(run)
+        drive_all("sisters", plant, wanted, ends=False)
+        drive_all("sisters, constant", plant, levels(bench, plant, controller))
     return told
 
 

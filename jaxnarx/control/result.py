@@ -65,6 +65,13 @@ class ControlledRun:
         over = np.maximum(y - self.ceiling[None], self.floor[None] - y)
         return np.maximum(over, 0.0)
 
+    def share_kept(self, skip: int = 0) -> float:
+        """Share of the samples in which all limits are kept, without the first `skip`
+        of every record."""
+        over = np.split(self.excess(), np.cumsum([len(y) for y in self.outputs])[:-1])
+        within = [np.all(one[skip:] == 0, axis=1) for one in over]
+        return float(np.mean(np.concatenate(within)))
+
     @property
     def command_names(self) -> tuple[str, ...]:
         """Names of the commands."""

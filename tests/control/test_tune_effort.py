@@ -7,7 +7,7 @@ import pytest
 from control_problems import TIME, linear, shifted
 
 import jaxnarx as jnx
-from jaxnarx.control import Command, close_loop, mpc, tune_effort
+from jaxnarx.control import Command, OutputLimit, close_loop, mpc, tune_effort
 from jaxnarx.errors import DataError, SpecError
 
 FACTORS = (0.1, 1.0, 1e3, 1e4)
@@ -56,6 +56,23 @@ def test_its_own_model_wants_cheap_moves_and_a_stronger_plant_dear_ones(
     worst = both.stats["nrmse"].mean(axis=2).max(axis=1)
     assert worst[at] <= 1.05 * worst.min() and f"{worst[at]:.3g}" in both.detail
     assert max(found) < max(tracking(controller, plants, references))
+
+
+def test_limits_come_first(controller, references):
+    """A dearer factor of larger errors is taken where the others break a limit."""
+    (record,) = references.records
+    most = 1.3 * float(record.y[:, 0].max())
+    limits = {"speed": OutputLimit(at_most=most, guard=0.0)}
+    free = {"force": Command(effort=1e-3)}
+    bound = mpc(linear(), free, ["speed"], limits, horizon=6).value
+    parts, factors = ([shifted(0.0, 1.5)], references), (1.0, 100.0, 1e4)
+    found = tune_effort(bound, *parts, factors=factors)
+    kept, errors = found.stats["kept"][:, 0], found.stats["nrmse"][:, 0, 0]
+    assert found.stats["factor"] == 1e4 and errors.argmin() == 1
+    assert kept[:2].max() < 0.999 <= kept[2] and "kept in 100 %" in found.detail
+    run = close_loop(found.value, parts[0][0], references).value
+    assert run.share_kept(20) == kept[2]
+    assert tune_effort(controller, *parts, factors=factors).stats["factor"] == 100.0
 
 
 def test_where_every_loop_diverges_it_says_so_and_changes_nothing(

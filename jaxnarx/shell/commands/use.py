@@ -162,7 +162,7 @@ class Export:
     ] = ("c",)
     """What is written."""
     map: Annotated[tuple[str, ...], optional("NAME NAME")] = ()
-    """The two inputs of the maps of dcm and fmu3; default: of each output the inputs that
+    """The two inputs of maps (dcm, fmu3); default: of each output the inputs that
     schedule it, then those that move it most at rest."""
     name: str = "model"
     """What files and functions are called."""
