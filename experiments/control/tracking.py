@@ -226,8 +226,8 @@ def levels(bench: Bench, plant: AbstractPlant, controller: Controller) -> jnx.Da
     at = [bench.plant.outputs.index(n) for n in names]
     most = np.asarray(controller.ceiling - controller.guard)
     within = np.flatnonzero(np.all(ends[:, at] <= most, axis=1))[:count]
-    pairs = (np.repeat(a[within], HOLD, axis=0) for a in (drawn, ends))
-    return bench.data([tuple(pairs)])
+    held, rest = (np.repeat(a[within], HOLD, axis=0) for a in (drawn, ends))
+    return bench.data([(held, rest)])
 
 
 def feedforward(bench: Bench, wanted: jnx.Dataset) -> dict[str, float]:

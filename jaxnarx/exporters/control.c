@@ -100,30 +100,28 @@ static void solve_factors(int n, const double *l, double *b)
 /* a x = b by elimination with pivots, x in the place of b; 0: a is singular */
 static int eliminate(int n, double *a, double *b)
 {
+    int good = 1;
     int i;
     int j;
     int k;
-    for (j = 0; j < n; j++) {
+    for (j = 0; (j < n) && (good != 0); j++) {
         int best = j;
+        double kept;
         for (i = j + 1; i < n; i++) {
             if (fabs(a[(i * n) + j]) > fabs(a[(best * n) + j])) {
                 best = i;
             }
         }
-        if (!(fabs(a[(best * n) + j]) > 0.0)) {
-            return 0;
-        }
+        good = (fabs(a[(best * n) + j]) > 0.0) ? 1 : 0;
         for (k = 0; k < n; k++) {
-            const double kept = a[(j * n) + k];
+            kept = a[(j * n) + k];
             a[(j * n) + k] = a[(best * n) + k];
             a[(best * n) + k] = kept;
         }
-        {
-            const double kept = b[j];
-            b[j] = b[best];
-            b[best] = kept;
-        }
-        for (i = j + 1; i < n; i++) {
+        kept = b[j];
+        b[j] = b[best];
+        b[best] = kept;
+        for (i = j + 1; (i < n) && (good != 0); i++) {
             const double part = a[(i * n) + j] / a[(j * n) + j];
             for (k = j; k < n; k++) {
                 a[(i * n) + k] -= part * a[(j * n) + k];
@@ -131,13 +129,13 @@ static int eliminate(int n, double *a, double *b)
             b[i] -= part * b[j];
         }
     }
-    for (i = n - 1; i >= 0; i--) {
+    for (i = n - 1; (i >= 0) && (good != 0); i--) {
         for (k = i + 1; k < n; k++) {
             b[i] -= a[(i * n) + k] * b[k];
         }
         b[i] /= a[(i * n) + i];
     }
-    return 1;
+    return good;
 }
 
 /* whether an entry of the state is the root of a value, see loop_root */
@@ -262,13 +260,13 @@ void NAME_control_begin(NAME_controller *c, const double *u, const double *measu
     int k;
     int n;
     for (k = 0; k < INPUTS; k++) {
-        c->u[k] = is_there(u[k], largest_input[k]) ? u[k] : input_middle[k];
+        c->u[k] = (is_there(u[k], largest_input[k]) != 0) ? u[k] : input_middle[k];
     }
     find_rest(c, c->u);
     sample(c->x, c->u, c->next, c->y, c->fed);
     for (k = 0; k < OUTPUTS; k++) {
         const int there = is_there(measured[k], largest_output[k]);
-        c->offset[k] = there ? (measured[k] - c->y[k]) : 0.0;
+        c->offset[k] = (there != 0) ? (measured[k] - c->y[k]) : 0.0;
         c->fading[k] = 0.0;
     }
     begin_covariance(c);
@@ -289,8 +287,9 @@ static int is_clipped(NAME_controller *c, const double *x)
     int k;
     sample(x, c->u, c->next, c->y, c->fed);
     for (k = 0; k < OUTPUTS; k++) {
-        const int within = (c->fed[k] > loop_low[k]) && (c->fed[k] < loop_high[k]);
-        if ((loop_free[k] != 0) && !within) {
+        const int within =
+            ((c->fed[k] > loop_low[k]) && (c->fed[k] < loop_high[k])) ? 1 : 0;
+        if ((loop_free[k] != 0) && (within == 0)) {
             clipped = 1;
         }
     }
@@ -304,9 +303,10 @@ static int recover(NAME_controller *c, const double *measured)
     int k;
     int n;
     for (k = 0; k < OUTPUTS; k++) {
-        const int within = (measured[k] > loop_low[k]) && (measured[k] < loop_high[k]);
+        const int within =
+            ((measured[k] > loop_low[k]) && (measured[k] < loop_high[k])) ? 1 : 0;
         const int there = is_there(measured[k], largest_output[k]);
-        if (!there || ((loop_free[k] != 0) && !within)) {
+        if ((there == 0) || ((loop_free[k] != 0) && (within == 0))) {
             lost = 0;
         }
     }
@@ -336,38 +336,13 @@ static int recover(NAME_controller *c, const double *measured)
     return lost;
 }
 
-/* extended Kalman filter: what was measured */
-static void correct(NAME_controller *c, const double *measured)
+/* correct the estimate by errors of that noise; c->middle is factorised */
+static void take_measured(NAME_controller *c, const double *noise, const double *error)
 {
-    double noise[OUTPUTS];
-    double error[OUTPUTS];
     double column[OUTPUTS];
     int i;
     int j;
     int k;
-    slopes(c->x, c->u, c->next, c->y, c->a, c->b, c->c, c->d);
-    for (i = 0; i < (OUTPUTS * OWN); i++) {
-        c->seen[i] = 0.0;
-    }
-    for (i = 0; (i < C_ENTRIES) && (OWN > (2 * OUTPUTS)); i++) {
-        if (carried_of[c_column[i]] >= 0) {
-            c->seen[(c_row[i] * OWN) + carried_of[c_column[i]]] =
-                c->c[i] * by_value(c->x, c_column[i]);
-        }
-    }
-    for (k = 0; k < OUTPUTS; k++) {
-        const int there = is_there(measured[k], largest_output[k]);
-        c->seen[(k * OWN) + CARRIED + k] = 1.0;
-        c->seen[(k * OWN) + CARRIED + OUTPUTS + k] = 1.0;
-        noise[k] = there ? noise_variance[k] : (noise_variance[k] * NOT_MEASURED);
-        error[k] = there ? (measured[k] - c->y[k] - c->offset[k] - c->fading[k]) : 0.0;
-    }
-    multiply(OUTPUTS, OWN, OWN, c->seen, c->covariance, c->product);
-    multiply_transposed(OUTPUTS, OWN, c->product, c->seen, noise, c->middle);
-    if (factorise(OUTPUTS, c->middle) == 0) {
-        begin_covariance(c);
-        return;
-    }
     for (j = 0; j < OWN; j++) {
         for (k = 0; k < OUTPUTS; k++) {
             column[k] = c->product[(k * OWN) + j];
@@ -419,6 +394,40 @@ static void correct(NAME_controller *c, const double *measured)
     }
 }
 
+/* extended Kalman filter: what was measured */
+static void correct(NAME_controller *c, const double *measured)
+{
+    double noise[OUTPUTS];
+    double error[OUTPUTS];
+    int i;
+    int k;
+    slopes(c->x, c->u, c->next, c->y, c->a, c->b, c->c, c->d);
+    for (i = 0; i < (OUTPUTS * OWN); i++) {
+        c->seen[i] = 0.0;
+    }
+    for (i = 0; (i < C_ENTRIES) && (OWN > (2 * OUTPUTS)); i++) {
+        if (carried_of[c_column[i]] >= 0) {
+            c->seen[(c_row[i] * OWN) + carried_of[c_column[i]]] =
+                c->c[i] * by_value(c->x, c_column[i]);
+        }
+    }
+    for (k = 0; k < OUTPUTS; k++) {
+        const int there = is_there(measured[k], largest_output[k]);
+        c->seen[(k * OWN) + CARRIED + k] = 1.0;
+        c->seen[(k * OWN) + CARRIED + OUTPUTS + k] = 1.0;
+        noise[k] = (there != 0) ? noise_variance[k] : (noise_variance[k] * NOT_MEASURED);
+        error[k] = (there == 0) ? 0.0 :
+            (measured[k] - c->y[k] - c->offset[k] - c->fading[k]);
+    }
+    multiply(OUTPUTS, OWN, OWN, c->seen, c->covariance, c->product);
+    multiply_transposed(OUTPUTS, OWN, c->product, c->seen, noise, c->middle);
+    if (factorise(OUTPUTS, c->middle) == 0) {
+        begin_covariance(c);
+    } else {
+        take_measured(c, noise, error);
+    }
+}
+
 /* the estimate before the next sample, under c->u */
 static void advance(NAME_controller *c)
 {
@@ -432,9 +441,9 @@ static void advance(NAME_controller *c)
         const int row = carried_of[a_row[i]];
         const int column = carried_of[a_column[i]];
         if ((row >= 0) && (column >= 0)) {
-            const int newest = loop_first[loop_of[a_row[i]]] == a_row[i];
+            const int newest = (loop_first[loop_of[a_row[i]]] == a_row[i]) ? 1 : 0;
             c->transition[(row * OWN) + column] =
-                newest ? between_values(c, i) : c->a[i];
+                (newest != 0) ? between_values(c, i) : c->a[i];
         }
     }
     for (k = 0; k < OUTPUTS; k++) {
@@ -646,10 +655,10 @@ static void make_objective(NAME_controller *c, const double *reference)
             const double error = c->out[(k * COLUMNS) + o] -
                 (reference[(k * TARGETS) + n] / size[o]);
             for (i = 0; i < numbers; i++) {
-                const double pull = row[i] * (weight_of[n] / (double)HORIZON);
-                c->gradient[i] += pull * error;
+                const double weighted = row[i] * (weight_of[n] / (double)HORIZON);
+                c->gradient[i] += weighted * error;
                 for (j = 0; j < numbers; j++) {
-                    c->hessian[(i * VARIABLES) + j] += pull * row[j];
+                    c->hessian[(i * VARIABLES) + j] += weighted * row[j];
                 }
             }
         }
@@ -665,14 +674,16 @@ static void make_objective(NAME_controller *c, const double *reference)
 static double most_of(const NAME_controller *c, int i)
 {
     const int own = i % COMMANDS;
-    const double far = (double)((i / COMMANDS) + 1) * largest_move[own];
+    const int moves = (i / COMMANDS) + 1;
+    const double far = (double)moves * largest_move[own];
     return larger(high[own], c->u[command_at[own]] - far);
 }
 
 static double least_of(const NAME_controller *c, int i)
 {
     const int own = i % COMMANDS;
-    const double far = (double)((i / COMMANDS) + 1) * largest_move[own];
+    const int moves = (i / COMMANDS) + 1;
+    const double far = (double)moves * largest_move[own];
     return smaller(low[own], c->u[command_at[own]] + far);
 }
 
@@ -811,6 +822,9 @@ static int factorise_normal(NAME_controller *c)
     for (i = 0; i < (VARIABLES * VARIABLES); i++) {
         h[i] = c->hessian[i];
     }
+    for (i = 0; i < ROWS; i++) {
+        c->weight[i] = c->multipliers[i] / c->slack[i];
+    }
     for (i = 0; i < NUMBERS; i++) {
         const int up = (2 * NUMBERS) + i;
         const int down = (3 * NUMBERS) + i;
@@ -891,7 +905,7 @@ static void go_towards(NAME_controller *c)
     multiply_rows(c, c->dz, c->ds);
     for (i = 0; i < ROWS; i++) {
         c->ds[i] = -c->primal[i] - c->ds[i];
-        c->dl[i] = -(c->lower[i] + (c->multipliers[i] * c->ds[i])) / c->slack[i];
+        c->dm[i] = -(c->lower[i] + (c->multipliers[i] * c->ds[i])) / c->slack[i];
     }
 }
 
@@ -904,18 +918,56 @@ static double find_longest(const NAME_controller *c)
         if (c->ds[i] < 0.0) {
             most = smaller(most, -c->slack[i] / c->ds[i]);
         }
-        if (c->dl[i] < 0.0) {
-            most = smaller(most, -c->multipliers[i] / c->dl[i]);
+        if (c->dm[i] < 0.0) {
+            most = smaller(most, -c->multipliers[i] / c->dm[i]);
         }
     }
     return most;
 }
 
-/* Mehrotra's predictor and corrector; the residual that is left */
+/* Mehrotra's predictor and corrector, with the factors that are there; the residual */
+static double take_step(NAME_controller *c)
+{
+    double now = 0.0;
+    double then = 0.0;
+    double length;
+    double centre;
+    int i;
+    for (i = 0; i < ROWS; i++) {
+        c->lower[i] = c->slack[i] * c->multipliers[i];
+        now += c->lower[i];
+    }
+    go_towards(c);
+    length = find_longest(c);
+    for (i = 0; i < ROWS; i++) {
+        then += (c->slack[i] + (length * c->ds[i])) *
+            (c->multipliers[i] + (length * c->dm[i]));
+    }
+    centre = then / now;
+    centre = centre * centre * centre * (now / (double)ROWS);
+    for (i = 0; i < ROWS; i++) {
+        c->lower[i] += (c->ds[i] * c->dm[i]) - centre;
+    }
+    go_towards(c);
+    length = find_longest(c);
+    length = (length < 1.0) ? (NEAR_BORDER * length) : length;
+    for (i = 0; i < VARIABLES; i++) {
+        c->step[i] += length * c->dz[i];
+    }
+    for (i = 0; i < ROWS; i++) {
+        c->slack[i] += length * c->ds[i];
+        c->multipliers[i] += length * c->dm[i];
+    }
+    return find_residuals(c);
+}
+
+/* the least of the quadratic program, in c->step; the residual that is left. Near it a
+   step may fail: what there is stays. */
 static double solve_quadratic(NAME_controller *c)
 {
     double residual;
     int steps;
+    int goes_on;
     int i;
     for (i = 0; i < VARIABLES; i++) {
         c->step[i] = 0.0;
@@ -925,41 +977,25 @@ static double solve_quadratic(NAME_controller *c)
         c->multipliers[i] = 1.0;
     }
     residual = find_residuals(c);
-    for (steps = 0; (residual > TOLERANCE) && (steps < MOST_STEPS); steps++) {
-        double now = 0.0;
-        double then = 0.0;
-        double length;
-        double centre;
-        for (i = 0; i < ROWS; i++) {
-            c->weight[i] = c->multipliers[i] / c->slack[i];
-            c->lower[i] = c->slack[i] * c->multipliers[i];
-            now += c->lower[i];
-        }
-        if (factorise_normal(c) == 0) {
-            return residual;
-        }
-        go_towards(c);
-        length = find_longest(c);
-        for (i = 0; i < ROWS; i++) {
-            then += (c->slack[i] + (length * c->ds[i])) *
-                (c->multipliers[i] + (length * c->dl[i]));
-        }
-        centre = then / now;
-        centre = centre * centre * centre * (now / (double)ROWS);
-        for (i = 0; i < ROWS; i++) {
-            c->lower[i] += (c->ds[i] * c->dl[i]) - centre;
-        }
-        go_towards(c);
-        length = find_longest(c);
-        length = (length < 1.0) ? (NEAR_BORDER * length) : length;
+    goes_on = (residual > TOLERANCE) ? 1 : 0;
+    for (steps = 0; (goes_on != 0) && (steps < MOST_STEPS); steps++) {
+        double next = residual;
         for (i = 0; i < VARIABLES; i++) {
-            c->step[i] += length * c->dz[i];
+            c->last[i] = c->step[i];
         }
-        for (i = 0; i < ROWS; i++) {
-            c->slack[i] += length * c->ds[i];
-            c->multipliers[i] += length * c->dl[i];
+        goes_on = factorise_normal(c);
+        if (goes_on != 0) {
+            next = take_step(c);
+            goes_on = isfinite(next) ? 1 : 0;
         }
-        residual = find_residuals(c);
+        if (goes_on != 0) {
+            residual = next;
+            goes_on = (residual > TOLERANCE) ? 1 : 0;
+        } else {
+            for (i = 0; i < VARIABLES; i++) {
+                c->step[i] = c->last[i];
+            }
+        }
     }
     return residual;
 }
@@ -1045,8 +1081,8 @@ void NAME_control_step(NAME_controller *c, const double *measured,
     for (k = 0; k < HORIZON; k++) {
         for (i = 0; i < GIVEN; i++) {
             const double own = given[(k * GIVEN) + i];
-            c->ahead[(k * GIVEN) + i] = is_there(own, largest_input[given_at[i]]) ?
-                own : c->u[given_at[i]];
+            const int there = is_there(own, largest_input[given_at[i]]);
+            c->ahead[(k * GIVEN) + i] = (there != 0) ? own : c->u[given_at[i]];
         }
     }
     out->restarted = recover(c, measured);
