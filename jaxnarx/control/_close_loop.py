@@ -272,9 +272,10 @@ def _describe(value: ControlledRun) -> str:
     for o, channel in enumerate(value.output_channels):
         share = np.mean(over[:, o] > 0)
         if share > 0:
+            most = f"{over[:, o].max():.3g} {channel.unit}".strip()
             told.append(
                 f"{channel.name} is beyond its limit in {100 * share:.2g} % of "
-                f"samples, by {over[:, o].max():.3g} {channel.unit} at most"
+                f"samples, by {most} at most"
             )
     failed = sum(int((~s).sum()) for s in value.solved)
     if failed:

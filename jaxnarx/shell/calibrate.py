@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 import shutil
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from jaxnarx.calibration import (
     signals_of,
 )
 from jaxnarx.data import Channel, Channels, Dataset, read_files
-from jaxnarx.errors import DataFileError, SpecError
+from jaxnarx.errors import SpecError
 from jaxnarx.exporters import map_lines, sanitise
 from jaxnarx.formatting import count
 from jaxnarx.models import Network, load
@@ -39,6 +38,7 @@ from jaxnarx.shell.messages import about, quote_command, say, warn
 from jaxnarx.shell.next_command import tell_next
 from jaxnarx.shell.plain_page import figure, heading, paragraph, plain_page, table
 from jaxnarx.shell.report.html import figure_text
+from jaxnarx.shell.task_file import read_task_file
 
 MAPS_FILE, RESULT_FILE, PAGE_FILE = "maps.dcm", "calibration.json", "report.html"
 CYCLE_FILE, STATE_FOLDER = "cycle.csv", "state"
@@ -88,19 +88,7 @@ def calibrate_maps(command: Calibrate, typed: str) -> int:
 
 def read_task(path: str) -> CalibrationTask:
     """Maps, objective, limits and search of a TOML file."""
-    try:
-        with Path(path).open("rb") as file:
-            given = tomllib.load(file)
-    except FileNotFoundError as error:
-        raise DataFileError(f"{path}: there is no such file", path=path) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataFileError(f"{path} is no TOML: {error}", path=path) from error
-    unknown = set(given) - {"maps", "objective", "limits", "search"}
-    if unknown:
-        raise SpecError(
-            f"{path} has the unknown key {sorted(unknown)[0]!r}; there are maps, "
-            "objective, limits and search"
-        )
+    given = read_task_file(path, ("maps", "objective", "limits", "search"))
     with about(path):
         return CalibrationTask(
             {

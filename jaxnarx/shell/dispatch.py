@@ -61,6 +61,8 @@ def _run(command: commands.Command, typed: str) -> int:
         return _adapt(command)
     if isinstance(command, commands.Calibrate):
         return _calibrate(command, typed)
+    if isinstance(command, commands.Control):
+        return _control(command, typed)
     if isinstance(command, commands.Sweep):
         return _sweep(command)
     if isinstance(command, commands.Simulate):
@@ -361,6 +363,12 @@ def _calibrate(command: commands.Calibrate, typed: str) -> int:
     from jaxnarx.shell.calibrate import calibrate_maps
 
     return calibrate_maps(command, typed)
+
+
+def _control(command: commands.Control, typed: str) -> int:
+    from jaxnarx.shell.control import control_engine
+
+    return control_engine(command, typed)
 
 
 def _sweep(command: commands.Sweep) -> int:

@@ -234,7 +234,7 @@ def test_the_commands_are_listed_by_task_on_one_screen(capsys):
     text = capsys.readouterr().out
     lines = text.splitlines()
     assert len(lines) < 24 and max(map(len, lines)) <= 80
-    rows = lines[3:-2]
+    rows = lines[3:-1]
     assert [row[:10].strip() for row in rows if row[0] != " "] == list(TASK_COMMANDS)
     assert [row[10:27].strip() for row in rows] == words
     assert all(row[27:].endswith(".") for row in rows)

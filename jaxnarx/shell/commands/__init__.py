@@ -10,6 +10,7 @@ from typing import get_args
 
 from jaxnarx.settings import DESCRIPTION
 from jaxnarx.shell.commands.calibrate import Calibrate as Calibrate
+from jaxnarx.shell.commands.control import Control as Control
 from jaxnarx.shell.commands.fleet import FleetCalibrate as FleetCalibrate
 from jaxnarx.shell.commands.fleet import FleetCompare as FleetCompare
 from jaxnarx.shell.commands.fleet import FleetLearn as FleetLearn
@@ -56,6 +57,7 @@ Command = (
     | Simulate
     | Adapt
     | Calibrate
+    | Control
     | Export
     | ImportDcm
     | Sweep

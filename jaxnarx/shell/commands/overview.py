@@ -22,6 +22,7 @@ TASK_COMMANDS = {
         "simulate": "Run a model on new files.",
         "adapt": "Let a model follow its engine over new records.",
         "calibrate": "Optimise maps of a control unit over a cycle.",
+        "control": "Make a predictive controller, and its C.",
         "export": "Write C, FMU, Python, JavaScript, MATLAB, DCM or A2L.",
         "import-dcm": "Read changed parameters back into a model.",
     },
@@ -35,7 +36,7 @@ OVERVIEW_HEAD = """\
 usage: jaxnarx COMMAND [OPTIONS] | COMMAND --help, with examples | --version
 Identify engines from measurements as NARX networks with regional models.
 """
-OVERVIEW_FOOT = """
+OVERVIEW_FOOT = """\
 Exit codes: 0 done, 1 not usable, 2 usage, 3 files, 70 defect, 130, 143 stopped."""
 
 

@@ -30,13 +30,13 @@ def draw_tracking(
     """One record of loops that follow the same references, one panel a signal.
 
     `ways` are cascades, such as the direct and the trained inverse, and closed loops by
-    name. Targets
-    first, with the reference in ink and the NRMSE over all records in the legend (or
-    that the loop diverges), then commands, the samples marked at which a limit holds
-    them.
+    name. Targets first, with the reference in ink and the NRMSE over all records in the
+    legend (or that the loop diverges), then other outputs that have a limit, dashed,
+    then commands, the samples marked at which a limit holds them.
     """
     first = next(iter(ways.values())).value
-    panels = len(first.targets) + len(first.command_names)
+    bounded = _bounded_outputs(first)
+    panels = len(first.targets) + len(bounded) + len(first.command_names)
     length = min(MAX_SAMPLES_SHOWN, len(first.commands[record]))
     time = np.arange(length) * sample_time
     with use_style():
@@ -51,13 +51,29 @@ def draw_tracking(
                 end = error if found.is_okay else found.status_name
                 ax.plot(time, followed, color=colour, label=f"{way}, {end}")
             _finish_panel(ax, name)
+        for ax, o in zip(axes[len(first.targets) :], bounded, strict=False):
+            for (way, found), colour in zip(ways.items(), COLOUR_CYCLE, strict=False):
+                reached = found.value.outputs[record][:length, o]
+                ax.plot(time, reached, color=colour, label=way)
+            for limit in (first.floor[o], first.ceiling[o]):
+                if np.isfinite(limit):
+                    ax.axhline(limit, color=INK_COLOUR, linewidth=0.8, linestyle="--")
+            _finish_panel(ax, first.output_channels[o].name)
         for c, name in enumerate(first.command_names):
-            ax = axes[len(first.targets) + c]
+            ax = axes[len(first.targets) + len(bounded) + c]
             for (way, found), colour in zip(ways.items(), COLOUR_CYCLE, strict=False):
                 _command(ax, time, found.value, record, c, colour, way)
             _finish_panel(ax, name)
         axes[-1].set_xlabel("time [s]")
     return figure
+
+
+def _bounded_outputs(value: Followed) -> list[int]:
+    """Outputs that have a limit and no reference."""
+    if not isinstance(value, ControlledRun):
+        return []
+    limited = np.isfinite(value.floor) | np.isfinite(value.ceiling)
+    return [o for o in np.flatnonzero(limited).tolist() if o not in value.targets]
 
 
 def _command(
