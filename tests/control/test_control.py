@@ -2,10 +2,12 @@
 
 import dataclasses
 
+import common
 import equinox as eqx
 import hidden_problems
 import jax
 import jax.numpy as jnp
+import kinds
 import numpy as np
 import pytest
 from calibration_problems import network_and_cycle
@@ -23,7 +25,12 @@ from jaxnarx.control.controller import (
     plan_of,
     predict_outputs,
 )
-from jaxnarx.control.observer import advance_estimate, correct, split_error
+from jaxnarx.control.observer import (
+    advance_estimate,
+    correct,
+    feedback_bounds,
+    split_error,
+)
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import hold_to_range
 
@@ -146,6 +153,18 @@ def test_a_run_at_its_bounds_begins_anew(states, held):
             assert np.abs(now.estimate.x).max() < 1.0
             _, decision = controller.step(now, measured, [0.1], [-0.1])
             assert not decision.restarted
+
+
+def test_what_a_run_cannot_begin_anew_from():
+    """Hidden states, groups of local models and static networks have no feedback of
+    measured outputs alone."""
+    static = common.network([common.Part([[((0,), 0.3)]])], variables=((0, 0),))
+    groups = common.named("coupled, by own output")
+    assert feedback_bounds(linear()) is not None
+    assert feedback_bounds(groups) is not None
+    own = kinds.problem("own feedback")[0]
+    for network in (static, own, hidden_problems.network()):
+        assert feedback_bounds(network) is None
 
 
 def test_what_comes_to_rest_at_its_bounds_keeps_its_offset():
