@@ -16,8 +16,8 @@ bypass valve.
 
 Beside the engine that the records come from stand engines with every parameter off by
 about a tenth; and steps of constant references that can be reached within the limits,
-of which the error that is left at their ends counts, in standard deviations of the
-references. Without a preview the controller knows references and other inputs of the
+of which the error that is left before the next step is foreseen counts, in standard
+deviations of the references. Without a preview the controller knows references and other inputs of the
 present alone. With `--tuned` a second controller has efforts that
 `jnx.control.tune_effort` finds against the networks of the jackknife, over the
 references of the record left out.
@@ -60,8 +60,9 @@ NAMES = {"cubic": "control_tracking", "identify": "control_tracking_identified"}
 """Results by models."""
 FORWARD, EVENTS = "spark and throttle", 4
 """The task of chapter 7's feedforward, and events of a sample there."""
-HOLD = 200
-"""Samples of a constant reference, of which the last third is judged."""
+HOLD, JUDGED, COUNT = 300, 100, 10
+"""Samples of a constant reference, those that are judged, the last before the horizon
+reaches the next one, and how many references there are."""
 DRAWN = 4
 """References that are drawn for each that is used, if limits leave it."""
 SKIPPED = 20
@@ -218,14 +219,13 @@ def levels(bench: Bench, plant: AbstractPlant, controller: Controller) -> jnx.Da
     u, _ = bench.record(100, noise=0.0)
     random = np.random.default_rng(bench.seed)
     smooth = np.stack([_smooth(c) for c in u.T], axis=1)
-    count = max(1, bench.length // HOLD)
-    drawn = smooth[random.choice(len(u), DRAWN * count)]
+    drawn = smooth[random.choice(len(u), DRAWN * COUNT)]
     y = np.asarray(run_plant(plant, jnp.asarray(np.repeat(drawn, HOLD, axis=0))))
     ends = y[HOLD - 1 :: HOLD]
     names = [controller.network.output_names[o] for o in controller.bounded]
     at = [bench.plant.outputs.index(n) for n in names]
     most = np.asarray(controller.ceiling - controller.guard)
-    within = np.flatnonzero(np.all(ends[:, at] <= most, axis=1))[:count]
+    within = np.flatnonzero(np.all(ends[:, at] <= most, axis=1))[:COUNT]
     held, rest = (np.repeat(a[within], HOLD, axis=0) for a in (drawn, ends))
     return bench.data([(held, rest)])
 
@@ -295,11 +295,11 @@ def task_rows(bench: Bench, name: str, small: bool, tuned: bool) -> dict[str, An
         return run.value
 
     def left(run: Any) -> dict[str, float]:
-        """Mean error at the ends of constant references."""
-        found = {}
+        """Mean error behind steps of constant references."""
+        found, end = {}, HOLD - controller.horizon
         for k, (o, target) in enumerate(zip(run.targets, targets, strict=True)):
             error = run.outputs[0][:, o] - run.references[0][:, k]
-            ends = error.reshape(-1, HOLD)[:, 2 * HOLD // 3 :].mean(axis=1)
+            ends = error.reshape(-1, HOLD)[:, end - JUDGED : end].mean(axis=1)
             spread = wanted.records[0].y.std(axis=0)[o]
             found[f"{target}, left"] = float(np.sqrt(np.mean(ends**2)) / spread)
         return found
