@@ -17,8 +17,8 @@ bypass valve.
 Beside the engine that the records come from stand engines with every parameter off by
 about a tenth; and steps of constant references that can be reached within the limits,
 of which the error that is left before the next step is foreseen counts, in standard
-deviations of the references. Without a preview the controller knows references and other inputs of the
-present alone. With `--tuned` a second controller has efforts that
+deviations of the references. Without a preview the controller knows references and
+other inputs of the present alone. With `--tuned` a second controller has efforts that
 `jnx.control.tune_effort` finds against the networks of the jackknife, over the
 references of the record left out.
 
