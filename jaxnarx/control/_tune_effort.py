@@ -10,6 +10,7 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.checks import require
@@ -41,7 +42,7 @@ def tune_effort(
 
     A controller whose model is a little wrong swings where its moves cost too little,
     and is slow where they cost too much. Its efforts are multiplied by every factor in
-    turn, and it is run against every plant: networks as they might as well have been
+    turn, and it is run against every plant: networks of other parts of the records
     (`jnx.confidence.jackknife`), sister engines, or the network itself. Limits come
     first: a factor qualifies that keeps them in 99.9 % of the samples with every plant,
     as all larger factors do; where none does, those qualify that keep them best. Then
@@ -102,9 +103,7 @@ def tune_effort(
     if not np.isfinite(worst).any():
         told = "with every factor a loop diverges; the efforts are as they were"
         return Solution(controller, RESULTS.diverged, stats, told)
-    # With this factor and all larger ones: below, a factor may keep limits by chance.
-    safe = np.minimum.accumulate(kept.min(axis=1)[::-1])[::-1]
-    fits = np.isfinite(worst) & (safe >= min(KEPT, safe[np.isfinite(worst)].max()))
+    fits = keep_limits(kept.min(axis=1), np.isfinite(worst))
     least = worst[fits].min()
     chosen = int(np.flatnonzero(fits & (worst <= (1 + EQUAL_SHARE) * least)).max())
     stats["factor"] = float(tried[chosen])
@@ -115,6 +114,17 @@ def tune_effort(
         share = 100 * kept[chosen].min()
         told += f", limits kept in {share:.4g} % of the samples at least"
     return Solution(_with_effort(controller, tried[chosen]), RESULTS.ok, stats, told)
+
+
+def keep_limits(
+    kept: Float[np.ndarray, " factors"], runs: Bool[np.ndarray, " factors"]
+) -> Bool[np.ndarray, " factors"]:
+    """Factors that keep limits, as all larger ones do: below such a one, a factor may
+    keep them by chance. Those that keep them best where there is none; of factors
+    whose loops do not diverge."""
+    larger = np.where(runs, kept, np.inf)[::-1]
+    fits = runs & (np.minimum.accumulate(larger)[::-1] >= KEPT)
+    return fits if fits.any() else runs & (kept >= kept[runs].max())
 
 
 def _with_effort(controller: Controller, factor: float) -> Controller:

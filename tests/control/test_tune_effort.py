@@ -8,6 +8,7 @@ from control_problems import TIME, linear, shifted
 
 import jaxnarx as jnx
 from jaxnarx.control import Command, OutputLimit, close_loop, mpc, tune_effort
+from jaxnarx.control._tune_effort import keep_limits
 from jaxnarx.errors import DataError, SpecError
 
 FACTORS = (0.1, 1.0, 1e3, 1e4)
@@ -73,6 +74,19 @@ def test_limits_come_first(controller, references):
     run = close_loop(found.value, parts[0][0], references).value
     assert run.share_kept(20) == kept[2]
     assert tune_effort(controller, *parts, factors=factors).stats["factor"] == 100.0
+
+
+@pytest.mark.parametrize(
+    ("kept", "runs", "fits"),
+    [
+        ([0.6, 1, 1, 0], [1, 1, 1, 0], [0, 1, 1, 0]),  # the last one diverges
+        ([1, 0.99, 1, 1], [1, 1, 1, 1], [0, 0, 1, 1]),  # the first does by chance
+        ([0.97, 0.98, 0.98, 0.96], [1, 1, 1, 1], [0, 1, 1, 0]),  # none does
+    ],
+)
+def test_factors_that_keep_limits_qualify(kept, runs, fits):
+    found = keep_limits(np.array(kept), np.array(runs, bool))
+    np.testing.assert_array_equal(found, np.array(fits, bool))
 
 
 def test_where_every_loop_diverges_it_says_so_and_changes_nothing(
