@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.calibration import AbstractPlant, as_plant
-from jaxnarx.checks import require_known
+from jaxnarx.checks import not_negative, require_known
 from jaxnarx.control.controller import Controller
 from jaxnarx.control.result import ControlledRun
 from jaxnarx.data import Dataset, Record
@@ -86,6 +86,7 @@ def close_loop(
     spread, begun = ({} if given is None else given for given in (noise, start))
     for name in spread:
         require_known(name, names, "noise", f"noise names {name!r}, no output")
+        not_negative(spread[name], "noise")
     for name in begun:
         told = f"start names {name!r}, no command"
         require_known(name, controller.command_names, "start", told)

@@ -58,9 +58,12 @@ from jaxnarx.models import (
 AGREEMENT = 1e-6
 """Largest difference of a decision, in shares of the ranges of commands and of quarters
 of those of outputs; quadratic programs are solved to a thousandth of that."""
-ROUND_OFF_SHARE, TOGETHER = 1e-12, 1e-7
-"""In the units of `AGREEMENT`: what measurements of a second run of the controller are
-off by, and up to where both count as together. Behind them round-off grows."""
+ROUND_OFF_SHARE = 1e-12
+"""Measurements of a second run of the controller are off by so many quarters of the
+outputs' ranges."""
+TOGETHER = 1e-7
+"""Largest difference of both runs, as `AGREEMENT`; behind a larger one, round-off
+decides, and nothing is compared."""
 LEAST_SHARE = 0.5
 """Of the proof's samples that must be compared."""
 BEYOND = 0.1

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxnarx.argument_checks import guard_arguments
-from jaxnarx.checks import require_known
+from jaxnarx.checks import require, require_known
 from jaxnarx.control.controller import Controller
 from jaxnarx.control.observer import (
     OFFSET_SHARE,
@@ -86,8 +86,8 @@ def mpc(
             may leave the range of the training.
 
     Raises:
-        SpecError: channels that the network does not have, or that are named twice;
-            bounds that leave no room; JAX without double precision, in which quadratic
+        SpecError: channels that the network does not have; a target named twice; bounds
+            that leave no room; JAX without double precision, in which quadratic
             programs of steep limits are not solved.
 
     Example:
@@ -102,6 +102,11 @@ def mpc(
     names = state_space(network).inputs
     outputs = network.output_names
     weights = targets if isinstance(targets, Mapping) else dict.fromkeys(targets, 1.0)
+    require(
+        len(weights) == len(targets),
+        "targets",
+        f"a target is named twice: {', '.join(targets)}",
+    )
     kept = {} if limits is None else limits
     if not commands:
         raise SpecError("a controller needs at least one command", field="commands")

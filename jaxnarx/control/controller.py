@@ -242,20 +242,27 @@ def _all_inputs(
     return jax.vmap(lambda c, g: _inputs(controller, c, g))(plan, given)
 
 
-def _present(
+def _mark_missing(
+    network: Network, values: Float[Array, "*rows columns"], signals: Sequence[int]
+) -> Float[Array, "*rows columns"]:
+    """Values of these signals, NaN where one is missing."""
+    largest = largest_sizes(network)[np.array(signals, int)]
+    largest = largest.reshape((1,) * (values.ndim - 1) + (-1,))
+    return jnp.where(jnp.abs(values) < largest, values, jnp.nan)
+
+
+def _mark_outputs(
     network: Network, measured: Float[Array, " outputs"]
 ) -> Float[Array, " outputs"]:
-    """The measured outputs, NaN where one is missing."""
-    largest = largest_sizes(network)[np.array(network.signals)[: len(measured)]]
-    return jnp.where(jnp.abs(measured) < largest, measured, jnp.nan)
+    return _mark_missing(network, measured, network.signals[: len(measured)])
 
 
 @program
 def _begin(controller: Controller, u: Array, measured: Array) -> ControlState:
     network, known = controller.network, controller.statistics
-    measured, largest = _present(network, measured), largest_sizes(network)
-    there = jnp.abs(u) < largest[np.array(driving_signals(network), int)]
-    u = jnp.where(there, u, middle_inputs(network).astype(u.dtype))
+    measured = _mark_outputs(network, measured)
+    u = _mark_missing(network, u, driving_signals(network))
+    u = jnp.where(jnp.isfinite(u), u, middle_inputs(network).astype(u.dtype))
     x = network.init("steady", u[None])
     y = network.step(x, u)[1]
     d = jnp.where(jnp.isfinite(measured), measured - y, 0.0)
@@ -275,9 +282,9 @@ def _step(
 ) -> tuple[ControlState, Decision]:
     network, known = controller.network, controller.statistics
     how = {"states": controller.observe_states}
-    measured, at = _present(network, measured), np.array(controller.given, int)
-    largest = largest_sizes(network)[np.array(driving_signals(network), int)[at]]
-    given = jnp.where(jnp.abs(given) < largest[None], given, state.u[at][None])
+    measured, at = _mark_outputs(network, measured), np.array(controller.given, int)
+    given = _mark_missing(network, given, [driving_signals(network)[k] for k in at])
+    given = jnp.where(jnp.isfinite(given), given, state.u[at][None])
     now, lost = recover(network, known, state.estimate, state.u, measured, **how)
     now = correct(network, known, now, state.u, measured, **how)
     before = state.u[np.array(controller.commands, int)]
@@ -429,7 +436,8 @@ def keep_bounds(
     before: Float[Array, " commands"],
 ) -> Float[Array, "blocks commands"]:
     """Commands in their spans within their bounds, the first within its rate too: a
-    solution keeps them up to its residual alone."""
+    solution keeps them up to its residual alone. At a bound that is near `plan_of` may
+    go beyond the rate by round-off."""
     low, high = command_bounds(controller, before)
     low = low.at[0].max(before - controller.move)
     high = high.at[0].min(before + controller.move)

@@ -67,10 +67,11 @@ class ControlledRun:
 
     def share_kept(self, skip: int = 0) -> float:
         """Share of the samples in which all limits are kept, without the first `skip`
-        of every record."""
+        of every record; NaN where no sample is left."""
         over = np.split(self.excess(), np.cumsum([len(y) for y in self.outputs])[:-1])
         within = [np.all(one[skip:] == 0, axis=1) for one in over]
-        return float(np.mean(np.concatenate(within)))
+        every = np.concatenate(within)
+        return float(np.mean(every)) if len(every) else float("nan")
 
     @property
     def command_names(self) -> tuple[str, ...]:

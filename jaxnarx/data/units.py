@@ -5,6 +5,7 @@ a speed of rotation `1/s` and `Hz` count revolutions, and what reading converts 
 """
 
 import math
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -110,7 +111,9 @@ LEVEL_QUANTITIES = (
 )
 """Quantities that are levels: a sum of them over a record means nothing."""
 _PER_TIME = {"/s": 1.0, "/sec": 1.0, "/min": 60.0, "/h": 3600.0}
-_INTEGRALS = {"W": ("J", 1.0), "kW": ("kJ", 1.0)}
+_INTEGRALS = {"W": "J", "kW": "kJ"}
+_PLAIN_RATES = re.compile(r"Hz|1?/(s|min)|(s|min)\^?-1")
+"""Units that count revolutions beside a speed of rotation alone."""
 
 
 class BaseUnit(NamedTuple):
@@ -141,7 +144,7 @@ _BASE_UNITS: dict[str, tuple[dict[str, int], float]] = {
     "current": ({"A": 1}, 1.0),
     "share of volume": ({}, 1.0),
 }
-"""What has the value one of a quantity in the table above."""
+"""The unit that `_UNIT_SPELLINGS` counts each quantity in, in base units."""
 
 
 def bare(unit: str) -> str:
@@ -181,9 +184,10 @@ def is_known(unit: str) -> bool:
 
 
 def base_unit(unit: str) -> BaseUnit | None:
-    """A unit in base units; None where it is not known."""
+    """A unit in base units; None where it is not known, or may count revolutions or
+    anything else, as 1/s does."""
     found = _KNOWN_UNITS.get(bare(unit))
-    if found is None:
+    if found is None or _PLAIN_RATES.fullmatch(bare(unit)):
         return None
     quantity, factor, offset = found
     exponents, scale = _BASE_UNITS[quantity]
@@ -191,14 +195,15 @@ def base_unit(unit: str) -> BaseUnit | None:
 
 
 def sum_over_time(unit: str) -> tuple[str, float] | None:
-    """The unit of the sum over time of what has this unit, g of g/s, and by what value
-    times seconds is divided for it; None where it is no rate."""
+    """The unit of the sum over time of what has this unit, g of g/h, and how many
+    seconds its time has, 3600; None where it is no rate."""
     text = bare(unit)
     if dimension(text) in LEVEL_QUANTITIES:
         return None
     if text in _INTEGRALS:
-        return _INTEGRALS[text]
+        return _INTEGRALS[text], 1.0
     for ending, seconds in _PER_TIME.items():
-        if text.endswith(ending) and (head := text.removesuffix(ending).strip()):
+        head = text.removesuffix(ending).strip()
+        if head and head != text and "/" not in head:
             return ("" if head == "1" else head), seconds
     return None

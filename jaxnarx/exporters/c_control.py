@@ -67,9 +67,10 @@ class _Slopes:
 
 
 _MISRA_DEVIATIONS = [
-    "/* Checked by cppcheck with its MISRA C:2012 rules. Deviations: 2.2, sizes of one",
-    " * or none leave operations without an effect; 8.9, tables stand together; 2.5",
-    " * and 8.7, macros and functions of the header are an interface for others. */",
+    "/* Files as this one are checked by cppcheck with its MISRA C:2012 rules.",
+    " * Deviations: 2.2, sizes of one or none leave operations without an effect; 8.9,",
+    " * tables stand together; 2.5 and 8.7, macros and functions of the header are an",
+    " * interface for others. */",
 ]
 
 

@@ -189,8 +189,8 @@ class Network(eqx.Module):
     its free run (`jaxnarx.models.error_model`). A free run starts from `history`
     measured samples, those of local models with their own feedback too; hidden channels
     start from what the outputs of `window` samples before tell about them
-    (`jaxnarx.models.observer`). `remembers` is for how many samples it remembers its
-    inputs where the domain that tells it has been left out of a program.
+    (`jaxnarx.models.observer`). `remembers` is the number of samples for which it
+    remembers its inputs; only the copies that programs take, without a domain, have it.
     """
 
     channels: Channels = eqx.field(static=True)

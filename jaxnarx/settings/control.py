@@ -1,5 +1,7 @@
 """Settings of a predictive controller: what it sets, and what must be kept."""
 
+import math
+
 from jaxnarx.checks import require
 from jaxnarx.formatting import page
 from jaxnarx.settings.fields import NotNegative, Positive, settings
@@ -48,6 +50,13 @@ class OutputLimit:
             "at_most",
             "a limit of an output needs at_most, at_least or both",
         )
+        for field in ("at_most", "at_least"):
+            value = getattr(self, field)
+            require(
+                value is None or math.isfinite(value),
+                field,
+                f"{field} must be finite, got {value}",
+            )
         require(
             self.at_most is None
             or self.at_least is None

@@ -43,12 +43,17 @@ METHOD_KINDS: tuple[tuple[str, type, dict[str, Any]], ...] = (
 """Names of kinds, and what else a name says."""
 
 
-def from_dict(kind: type, table: Mapping[str, Any], where: str = "") -> Any:
-    """A tree of settings from its table; `SpecError` names the path of what is wrong.
+def from_dict(kind: type, table: Any, where: str = "") -> Any:
+    """A tree of settings from its table; `SpecError` names the path of what is wrong,
+    or of what is no table.
 
     Where it names no kind, settings that it leaves out are the usual ones of the place.
     `where` is the path of the tree itself, for messages.
     """
+    if not isinstance(table, Mapping):
+        raise SpecError(
+            f"{where or 'the description'} must be a table, got {table!r}", field=where
+        )
     hints = field_hints(kind)
     usual = {f.name: f.default for f in dataclasses.fields(kind)}
     values = {}

@@ -1,8 +1,6 @@
 """`jaxnarx calibrate`: maps of a control unit, optimised over a cycle."""
 
 import dataclasses
-import json
-import math
 import shutil
 from pathlib import Path
 from typing import Any
@@ -33,7 +31,7 @@ from jaxnarx.shell.commands import Calibrate
 from jaxnarx.shell.description import read_description, tell_notes
 from jaxnarx.shell.figures.calibration import UNSEEN, map_picture, trajectories
 from jaxnarx.shell.figures.svg import svg
-from jaxnarx.shell.formats import table_csv
+from jaxnarx.shell.formats import json_text, table_csv
 from jaxnarx.shell.messages import about, quote_command, say, warn
 from jaxnarx.shell.next_command import tell_next
 from jaxnarx.shell.plain_page import figure, heading, paragraph, plain_page, table
@@ -177,16 +175,7 @@ def maps_dcm(value: Calibration, typed: str) -> str:
 def _json(found: Any) -> str:
     told = {"status": found.status_name, "detail": found.detail} | found.value.to_dict()
     told |= {"history": found.stats.get("history", [])}
-    return json.dumps(_finite(told), indent=1) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    """Numbers that are none as null."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return json_text(told)
 
 
 def _cycle_csv(value: Calibration) -> str:

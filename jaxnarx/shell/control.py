@@ -1,7 +1,6 @@
 """`jaxnarx control`: a predictive controller of a model, its closed loop and its C."""
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,22 +10,25 @@ import numpy as np
 from jaxnarx.control import (
     Command,
     ControlledRun,
+    Controller,
     OutputLimit,
     close_loop,
     export_controller,
     mpc,
     tune_effort,
 )
+from jaxnarx.data import Dataset
 from jaxnarx.errors import SpecError
-from jaxnarx.exporters import write_files
-from jaxnarx.models import load
+from jaxnarx.exporters import ExportError, identifiers, write_files
+from jaxnarx.models import Network, load
 from jaxnarx.settings import from_dict
 from jaxnarx.shell import output
 from jaxnarx.shell.commands import Control
 from jaxnarx.shell.description import read_records
-from jaxnarx.shell.formats import table_csv
+from jaxnarx.shell.formats import json_text, table_csv
 from jaxnarx.shell.messages import about, say, warn
 from jaxnarx.shell.task_file import read_task_file
+from jaxnarx.solution import Solution
 
 RESULT_FILE, LOOP_FILE, FIGURE_FILE = "control.json", "loop.csv", "tracking.png"
 KEYS = (
@@ -44,22 +46,28 @@ class ControlTask:
 
 
 def control_engine(command: Control, typed: str) -> int:
-    """Make, try, write, tell; the exit code is 1 where the loop diverges."""
+    """Make, try, write, tell; the exit code is 1 where the loop diverges, or the C does
+    something else."""
     task = read_control_task(command.task)
     network = load(command.model)
-    plants = [load(path) for path in command.plant] or [network]
+    plants = {path: load(path) for path in command.plant} or {command.model: network}
     records = read_records(command.files, command.root, network)
-    marks = [RESULT_FILE, LOOP_FILE, FIGURE_FILE]
+    (name,) = identifiers([command.name])
+    c_files = [f"{name}_control.{ending}" for ending in ("h", "c")]
+    marks = [RESULT_FILE, LOOP_FILE, FIGURE_FILE, *c_files]
     with output.run_folder(command.out, "", force=command.force, marks=marks) as folder:
         with about(command.task):
             made = mpc(network, **task.controller, records=records)
         controller, told = made.value, [made.detail]
+        with about(command.task, but=("plant",)):
+            runs = _close_loops(controller, plants, records, task)
         if command.tune:
-            tuned = tune_effort(controller, plants, records, **task.loop)
+            tuned = tune_effort(controller, [*plants.values()], records, **task.loop)
             controller, told = tuned.value, [*told, tuned.detail]
-        run = close_loop(controller, plants[0], records, **task.loop)
-        written = export_controller(controller, name=command.name)
-        remarks = [text for text in (*told, run.detail, *written.left_out) if text]
+            runs = _close_loops(controller, plants, records, task)
+        run = next(iter(runs.values()))
+        files, proof, fails = _write_c(controller, name)
+        remarks = [text for text in (*told, run.detail, *fails) if text]
         result = {
             "command": typed,
             "status": run.status_name,
@@ -71,12 +79,13 @@ def control_engine(command: Control, typed: str) -> int:
                     strict=True,
                 )
             ),
-            "c": dict(written.difference),
+            "c": proof,
             **run.value.to_dict(),
+            "plants": {path: one.value.to_dict() for path, one in runs.items()},
         }
         with output.write_together(folder) as place:
-            write_files(place, written.files)
-            output.write_text(place / RESULT_FILE, json.dumps(result, indent=1) + "\n")
+            write_files(place, files)
+            output.write_text(place / RESULT_FILE, json_text(result))
             output.write_text(place / LOOP_FILE, loop_csv(run.value))
             _draw(run, float(network.sample_time), place / FIGURE_FILE)
     say(str(run.value))
@@ -84,9 +93,40 @@ def control_engine(command: Control, typed: str) -> int:
         say(remark)
     if not run.is_okay:
         warn(f"{run.status_name}: {run.detail}")
-    names = ", ".join([*written.files, *marks])
-    say(f"wrote {names} to {folder}")
-    return 0 if run.is_okay else 1
+    if not files:
+        warn("the C of the controller is not written")
+    say(f"wrote {', '.join([*files, *marks[:3]])} to {folder}")
+    return 0 if run.is_okay and files else 1
+
+
+def _close_loops(
+    controller: Controller,
+    plants: Mapping[str, Network],
+    records: Dataset,
+    task: ControlTask,
+) -> dict[str, Solution[ControlledRun]]:
+    """The closed loop of every plant; `SpecError` names the file of one that does not
+    fit."""
+    runs = {}
+    for path, plant in plants.items():
+        try:
+            runs[path] = close_loop(controller, plant, records, **task.loop)
+        except SpecError as error:
+            if error.field != "plant":
+                raise
+            raise SpecError(f"{path}: {error}", field="plant") from error
+    return runs
+
+
+def _write_c(
+    controller: Controller, name: str
+) -> tuple[Mapping[str, Any], dict[str, float], list[str]]:
+    """Files of C and their proof, or why there are none."""
+    try:
+        found = export_controller(controller, name=name)
+    except ExportError as error:
+        return {}, {}, [str(error)]
+    return found.files, dict(found.difference), list(found.left_out)
 
 
 def read_control_task(path: str) -> ControlTask:

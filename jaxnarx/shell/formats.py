@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -99,6 +100,19 @@ def _mf4(path: Path, columns: Mapping[str, Values], sample_time: float) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write UTF-8, with escapes for what it does not have (odd bytes of file names)."""
     path.write_bytes(encodable(text).encode("utf-8"))
+
+
+def json_text(value: Any) -> str:
+    """The file of a value; numbers that are none are null."""
+    return json.dumps(_finite(value), allow_nan=False, indent=1) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def table_csv(header: list[str], columns: list[list]) -> str:

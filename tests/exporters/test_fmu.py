@@ -322,6 +322,9 @@ def test_rates_are_summed_over_the_run(tmp_path, version):
     at_once, per = np.array(unit.get("y", "w")), np.array([STEP / 3600, STEP])
     np.testing.assert_allclose(unit.get("total.y", "total.w"), at_once * per)
     unit.leave()
+    # What is told stays what it was until a sample is taken.
+    np.testing.assert_allclose(unit.get("y", "w"), at_once)
+    np.testing.assert_allclose(unit.get("total.y", "total.w"), at_once * per)
     seen = []
     for row in np.repeat(inputs(3), 2, axis=0):
         unit.set(["a", "b"], row)
@@ -348,6 +351,23 @@ def test_units_are_told_in_those_of_si(version):
     assert bases["°C"] == {"K": "1", "factor": "1.0", "offset": "273.15"}
     assert float(bases["rpm"]["factor"]) == pytest.approx(2 * np.pi / 60)
     assert {"kg", "mg"} <= set(bases)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_sums_and_differences_are_relative(version):
+    """Zero of a difference in °C is zero of one in K."""
+    program = lower(metered(), "m")
+    ports = tuple(dataclasses.replace(p, unit="°C") for p in program.computed)
+    flags = {**program.flags, "half_y": program.fed[0]}
+    fields = {"reported": ports, "computed": ports, "flags": flags}
+    content = packed_alone(dataclasses.replace(program, **fields), version)
+    with zipfile.ZipFile(BytesIO(content)) as packed:
+        root = ET.fromstring(packed.read("modelDescription.xml"))
+    (listed,) = root.iter("ModelVariables")
+    told = {v.get("name"): v[0] if version == 2 else v for v in listed}
+    assert told["half_y"].get("unit") == told["y"].get("unit") == "°C"
+    assert told["half_y"].get("relativeQuantity") == "true"
+    assert told["y"].get("relativeQuantity") is None
 
 
 def resting() -> Network:

@@ -8,7 +8,9 @@ import pytest
 from control_problems import TIME, linear
 
 import jaxnarx as jnx
+from jaxnarx.exporters import ExportError
 from jaxnarx.exporters.compilers import compiler
+from jaxnarx.shell import control
 from jaxnarx.shell.control import read_control_task
 
 TASK = """
@@ -85,10 +87,44 @@ def test_what_is_wrong_is_named(jaxnarx, place):
     refused(TASK + "[more]\n", "unknown key 'more'")
     refused(TASK.replace("rate", "rat"), "commands.force")
     refused(TASK.replace("commands.force", "commands.wind"), "wind")
+    refused('targets = ["speed"]\n[commands]\nforce = 3\n', "must be a table")
+    refused(TASK.replace("at_most = 5.0", "at_most = nan"), "must be finite")
+    refused(TASK.replace("speed = 0.001", "speed = -1.0"), "bad.toml: noise")
+    refused(TASK.replace("speed = 0.001", "wind = 1.0"), "bad.toml: noise names")
+    refused(TASK.replace('["speed"]', '["speed", "speed"]'), "named twice")
     refused(TASK.replace("at_most = 5.0", ""), "at_most")
     refused('targets = ["speed"]\ncommands = 3\n', "[commands.NAME]")
     code, _, err = jaxnarx("model.safetensors new.csv --task none.toml")
     assert code == 3 and "there is no such file" in err
+
+
+def test_files_of_others_are_kept_and_a_constant_reference_has_no_score(jaxnarx, place):
+    (place / "own").mkdir()
+    (place / "own" / "model_control.c").write_text("mine")
+    line = "model.safetensors still.csv --task task.toml --out"
+    head, *rows = (place / "new.csv").read_text().splitlines()
+    still = [",".join([*row.split(",")[:3], "0.1", "0.1"]) for row in rows]
+    (place / "still.csv").write_text("\n".join([head, *still]) + "\n")
+    code, _, err = jaxnarx(f"{line} own")
+    assert code == 2 and "--force" in err
+    assert (place / "own" / "model_control.c").read_text() == "mine"
+    assert jaxnarx(f"{line} still")[0] == 0
+    told = json.loads((place / "still" / "control.json").read_text())
+    assert told["nrmse"] == {"speed": None} and list(told["plants"]) == [
+        "model.safetensors"
+    ]
+
+
+def test_without_a_proof_the_loop_is_kept(jaxnarx, place, monkeypatch):
+    def refuse(*args, **kwargs):
+        raise ExportError("differs")
+
+    monkeypatch.setattr(control, "export_controller", refuse)
+    code, out, err = jaxnarx("model.safetensors new.csv --task task.toml --out loop")
+    assert code == 1 and "differs" in out and "not written" in err
+    assert {p.name for p in (place / "loop").iterdir()} == {
+        *("control.json", "loop.csv", "tracking.png"),
+    }
 
 
 def test_a_task_names_what_it_leaves_to_defaults(place):

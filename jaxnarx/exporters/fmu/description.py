@@ -190,6 +190,8 @@ def _set_type(element: ET.Element, v: Quantity) -> None:
         element.set("declaredType", "Start")
     if v.unit:
         element.set("unit", v.unit)
+    if v.relative:
+        element.set("relativeQuantity", "true")
     if v.shape:
         element.set("start", " ".join(map(digits, v.values)))
         for size in v.shape:

@@ -36,7 +36,8 @@ from the first sample of the run up to the one that is told: g of g/s, kg of kg/
 kW. Once an output was not a number its total is none."""
 MAPS_TEXT = """<code>rest.*</code> are maps of outputs at rest over the inputs that
 matter most, with the points of their axes: constants, which terminals group as
-FMI-LS-STRUCT wants it."""
+FMI-LS-STRUCT wants it. An output that does not come to rest at all points of its map
+has none."""
 STATE_TEXT = """State is got, set and serialised as a whole, time and inputs included;
 what was serialised by another model is refused."""
 LEARNING_TEXT = """While <code>learn</code> is 1 the coefficients follow the engine by

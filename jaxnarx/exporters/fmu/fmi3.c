@@ -270,7 +270,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance,
         place += fmi_count_of(valueReferences[k]);
     }
     if (place != nValues) {
-        return refused(own, "fmi3GetFloat64: there are other numbers than values");
+        return refused(own, "fmi3GetFloat64: nValues is not the size of the variables");
     }
     place = 0;
     for (k = 0; k < nValueReferences; k++) {

@@ -16,6 +16,7 @@ typedef struct {
     int phase;
     int kind;
     int fresh; /* whether `next` and `now` belong to the sample that is due */
+    int due; /* whether `now` is a sample that has not been taken */
     int rests;
     double u[FMI_AT_REPORTED]; /* inputs; of one that learns measured outputs too */
     double lag[LAGS + 1];
@@ -90,6 +91,7 @@ static void fmi_unit_evaluate(unit *m)
     if (m->phase <= STARTING) {
         fmi_unit_start(m, u);
     }
+    m->due = 1;
     m->next = m->past;
     take_sample(&m->next, u, &m->u[UPPER_INPUTS], &m->now);
     m->fresh = 1;
@@ -160,6 +162,7 @@ static void fmi_unit_take(unit *m, int64_t steps)
     }
     m->samples += steps;
     m->fresh = 0;
+    m->due = 0;
     for (k = 0; k < UPPER_INPUTS; k++) {
         NAME_in[k] = u[k];
     }
@@ -201,8 +204,7 @@ static int fmi_unit_get_real(unit *m, unsigned int at, double *value)
     } else if (at < FMI_AT_LIMITED) {
         const int k = (int)(at - FMI_AT_TOTAL);
         *value = m->total[k];
-        if (m->phase <= EVENT) {
-            /* of the sample that is due too */
+        if (m->due) {
             *value += fmi_unit_part(m, k);
         }
     } else {

@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Iterable
 
 from jaxnarx.data import sum_over_time
-from jaxnarx.exporters.form import Port, SampleProgram, Value
+from jaxnarx.exporters.form import HALF_FLAG_PREFIX, Port, SampleProgram, Value
 
 LIMITED_TEXT = "the bound of what is fed back has acted on"
 FLAG_TEXTS = {
@@ -34,7 +34,8 @@ class Quantity:
     """One variable; `kind` is `real`, `boolean`, `choice`, `time` or `array`.
 
     `sees` are the inputs that an output depends on at its own time, `shape` and
-    `values` those of a constant array.
+    `values` those of a constant array. What is `relative` is a difference or a sum, of
+    which a unit's offset is no part.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Quantity:
     sees: tuple[int, ...] = ()
     values: tuple[float, ...] = ()
     shape: tuple[int, ...] = ()
+    relative: bool = False
 
 
 def quantities(
@@ -58,11 +60,19 @@ def quantities(
     def name(text: str) -> str:
         return free_name(text, taken)
 
-    def output(label: str, n: Value, kind: str, about: str, unit: str = "") -> Quantity:
+    def output(
+        label: str,
+        n: Value,
+        kind: str,
+        about: str,
+        unit: str = "",
+        *,
+        relative: bool = False,
+    ) -> Quantity:
         ops = (program.ops[k] for k in program.needed_operations([n]))
-        sees = {op.source for op in ops if op.kind == "input"}
+        sees = sorted({op.source for op in ops if op.kind == "input"}, key=int)
         return Quantity(
-            label, kind, "output", about, unit, sees=tuple(sorted(sees, key=int))
+            label, kind, "output", about, unit, sees=tuple(sees), relative=relative
         )
 
     inputs = [
@@ -87,8 +97,16 @@ def quantities(
         output(name(p.name), n, "real", _describe_range(p), p.unit)
         for p, n in zip(program.reported, program.outputs, strict=True)
     ]
+    units = program.flag_units
     flags = [
-        output(name(flag), n, "real", _flag(flag), program.flag_units.get(flag, ""))
+        output(
+            name(flag),
+            n,
+            "real",
+            _flag(flag),
+            units.get(flag, ""),
+            relative=flag in units,
+        )
         for flag, n in program.flags.items()
     ]
     totals = [
@@ -98,6 +116,7 @@ def quantities(
             "real",
             f"{program.reported[o].name}, summed over the run up to this sample",
             unit,
+            relative=True,
         )
         for o, unit, _ in summed_outputs(program)
     ]
@@ -108,6 +127,7 @@ def quantities(
             "output",
             f"{p.name}: {text}",
             "" if kind == "undone" else p.unit,
+            relative=True,
         )
         for p in followed
         for kind, text in LEARNT_TEXTS.items()
@@ -148,8 +168,8 @@ def quantities(
 
 
 def summed_outputs(program: SampleProgram) -> list[tuple[int, str, float]]:
-    """Reported outputs that are rates: place, unit of their sum over time, and by what
-    value times seconds is divided for it."""
+    """Reported outputs that are rates: place, unit of their sum over time, and how many
+    seconds the time of that unit has."""
     found = [(o, sum_over_time(p.unit)) for o, p in enumerate(program.reported)]
     return [(o, *one) for o, one in found if one is not None]
 
@@ -182,6 +202,8 @@ def past_gains(program: SampleProgram) -> list[float]:
 
 
 def _flag(flag: str) -> str:
+    if flag.startswith(HALF_FLAG_PREFIX):
+        return f"half of the prediction interval of {flag[len(HALF_FLAG_PREFIX) :]}"
     return FLAG_TEXTS.get(flag, f"{flag} at this sample")
 
 

@@ -50,14 +50,13 @@ def draw_tracking(
                 error = f"NRMSE {found.value.nrmse()[i]:.3g}"
                 end = error if found.is_okay else found.status_name
                 ax.plot(time, followed, color=colour, label=f"{way}, {end}")
+            _draw_limits(ax, first, first.targets[i])
             _finish_panel(ax, name)
         for ax, o in zip(axes[len(first.targets) :], bounded, strict=False):
             for (way, found), colour in zip(ways.items(), COLOUR_CYCLE, strict=False):
                 reached = found.value.outputs[record][:length, o]
                 ax.plot(time, reached, color=colour, label=way)
-            for limit in (first.floor[o], first.ceiling[o]):
-                if np.isfinite(limit):
-                    ax.axhline(limit, color=INK_COLOUR, linewidth=0.8, linestyle="--")
+            _draw_limits(ax, first, o)
             _finish_panel(ax, first.output_channels[o].name)
         for c, name in enumerate(first.command_names):
             ax = axes[len(first.targets) + len(bounded) + c]
@@ -66,6 +65,13 @@ def draw_tracking(
             _finish_panel(ax, name)
         axes[-1].set_xlabel("time [s]")
     return figure
+
+
+def _draw_limits(ax: Axes, value: Followed, o: int) -> None:
+    if isinstance(value, ControlledRun):
+        for limit in (value.floor[o], value.ceiling[o]):
+            if np.isfinite(limit):
+                ax.axhline(limit, color=INK_COLOUR, linewidth=0.8, linestyle="--")
 
 
 def _bounded_outputs(value: Followed) -> list[int]:
