@@ -155,7 +155,8 @@ def correct(
     *,
     states: bool,
 ) -> Estimate:
-    """The estimate once the outputs have been measured; NaN where they have not."""
+    """The estimate once the outputs have been measured; NaN where they have not. A
+    covariance that round-off has made unfit begins anew, and corrects nothing."""
     x, offset, fading, cov = before
     outputs = offset.shape[0]
     form = StateForm(network)
@@ -174,7 +175,11 @@ def correct(
     cov = left @ cov @ left.T + (gain * noise[None]) @ gain.T
     x = x.at[at].add(move[: -2 * outputs]) if states else x
     moved = move[-2 * outputs :].reshape(2, outputs)
-    return Estimate(x, offset + moved[0], fading + moved[1], cov)
+    found = Estimate(x, offset + moved[0], fading + moved[1], cov)
+    anew = begin_estimate(statistics, before.x, before.offset, states=states)
+    anew = anew._replace(fading=before.fading)
+    good = jnp.isfinite(gain).all()
+    return jax.tree.map(lambda a, b: jnp.where(good, a, b), found, anew)
 
 
 def advance_estimate(

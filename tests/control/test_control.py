@@ -179,6 +179,16 @@ def test_what_comes_to_rest_at_its_bounds_keeps_its_offset():
     assert not decision.restarted
 
 
+def test_a_covariance_that_is_unfit_begins_anew():
+    controller = linear_controller(observe_states=True)
+    state = controller.begin([0.2, -0.1], [0.1, 0.1])
+    cov = state.estimate.covariance
+    broken = state._replace(estimate=state.estimate._replace(covariance=-1e9 * cov))
+    now, decision = controller.step(broken, [0.1, 0.1], [0.1], [-0.1])
+    assert decision.solved and np.isfinite(now.estimate.covariance).all()
+    np.testing.assert_allclose(decision.disturbance, state.estimate.offset)
+
+
 def test_errors_are_split_into_noise_and_what_fades():
     random = np.random.default_rng(0)
     slow = np.zeros(40_000)
