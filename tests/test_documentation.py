@@ -145,6 +145,7 @@ PASSED_ON = {
     "models/validate.py",
     "partition/fixed.py",
     "shell/commands/flags.py",
+    "shell/control.py",
     "shell/messages.py",
     "shell/plan.py",
     "shell/sweep/description.py",
