@@ -10,7 +10,9 @@ from jaxtyping import Array
 
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
-from jaxnarx.control.controller import (
+from jaxnarx.control.controller import Controller, Decision
+from jaxnarx.control.observer import NOT_MEASURED, UNSURE, feedback_bounds
+from jaxnarx.control.planning import (
     AT_EDGE,
     DOMAIN_LINEAR,
     DOMAIN_SQUARE,
@@ -19,12 +21,9 @@ from jaxnarx.control.controller import (
     ROUND_OFF,
     SOLVED,
     SQUARE,
-    Controller,
-    Decision,
     block_of,
     used_inputs,
 )
-from jaxnarx.control.observer import NOT_MEASURED, UNSURE, feedback_bounds
 from jaxnarx.control.quadratic_program import MOST_STEPS, NEAR_BORDER, TOLERANCE
 from jaxnarx.exporters import (
     ControllerRun,
@@ -95,8 +94,7 @@ def export_controller(controller: Controller, *, name: str = "model") -> Exporte
     Returns:
         `NAME_control.h` and `NAME_control.c`; `difference` is that of decisions, in
         shares of the commands' ranges and of quarters of the outputs', `program` that
-        of the model. Without a C compiler
-        `left_out` says that nothing was run.
+        of the model. Without a C compiler `left_out` says that nothing was run.
 
     Raises:
         ExportError: the C does not compile, or decides otherwise.
@@ -261,13 +259,13 @@ def _difference(controller: Controller, run: ControllerRun) -> float:
         near = off + ROUND_OFF_SHARE * np.asarray(controller.size)
         second = _drive_host(controller, (begun, wanted, given, near))[1]
         found = Decision(*map(jnp.asarray, run(begun, measured, wanted, given)))
-        together = _apart(controller, second, expected) <= TOGETHER
+        together = _measure_difference(controller, second, expected) <= TOGETHER
         together |= ~expected.solved
         together = np.logical_and.accumulate(together & _same_flags(second, expected))
         alike = np.logical_and.accumulate(_same_flags(found, expected) | ~together)
         kept = together & alike & expected.solved
         counts += [(~expected.solved).sum(), (~together).sum(), (~alike).sum()]
-        apart.append(_apart(controller, found, expected)[kept])
+        apart.append(_measure_difference(controller, found, expected)[kept])
     every = np.concatenate(apart)
     if len(every) < LEAST_SHARE * total:
         unsolved, loose, other = counts
@@ -294,7 +292,9 @@ def _drive_host(
     return np.asarray(measured), jax.tree.map(np.asarray, decisions)
 
 
-def _apart(controller: Controller, found: Decision, expected: Decision) -> np.ndarray:
+def _measure_difference(
+    controller: Controller, found: Decision, expected: Decision
+) -> np.ndarray:
     """The largest difference of each decision, in ranges."""
     size = np.asarray(controller.size)
     own = {

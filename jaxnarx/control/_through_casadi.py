@@ -19,18 +19,15 @@ from jaxtyping import Array, Float
 from jaxnarx.argument_checks import guard_arguments
 from jaxnarx.arrays import program
 from jaxnarx.control.controller import (
-    LINEAR,
-    SQUARE,
     Controller,
     ControlState,
     Decision,
     Values,
-    block_of,
-    command_bounds,
     decide,
     over_horizon,
 )
 from jaxnarx.control.observer import Estimate, correct, expected_errors
+from jaxnarx.control.planning import LINEAR, SQUARE, block_of, command_bounds
 from jaxnarx.errors import SpecError
 from jaxnarx.exporters import export, import_page
 from jaxnarx.files import TemporaryFolder

@@ -12,7 +12,12 @@ from importlib import resources
 
 import numpy as np
 
-from jaxnarx.exporters.c99 import REFUSED_FLAGS, table_lines
+from jaxnarx.exporters.c99 import (
+    OF_INTERFACE,
+    REFUSED_FLAGS,
+    misra_note,
+    table_lines,
+)
 from jaxnarx.exporters.code import Syntax, comment, statements, value_text
 from jaxnarx.exporters.form import DelayLine, SampleProgram, Value
 from jaxnarx.exporters.notes import wrap_paragraphs
@@ -66,12 +71,10 @@ class _Slopes:
     values: tuple[Value, ...]
 
 
-_MISRA_DEVIATIONS = [
-    "/* Files as this one are checked by cppcheck with its MISRA C:2012 rules.",
-    " * Deviations: 2.2, sizes of one or none leave operations without an effect; 8.9,",
-    " * tables stand together; 2.5 and 8.7, macros and functions of the header are an",
-    " * interface for others. */",
-]
+_DEVIATIONS = (
+    "2.2, sizes of one or none leave operations without an effect; 8.9, tables stand "
+    f"together; {OF_INTERFACE}"
+)
 
 
 class _Writer:
@@ -327,7 +330,7 @@ class _Writer:
         name, program, number = self.name, self.program, self.syntax.number
         code = resources.files("jaxnarx.exporters") / "control.c"
         lines = [
-            *_MISRA_DEVIATIONS,
+            *misra_note(_DEVIATIONS),
             f'#include "{name}_control.h"',
             "",
             "#include <math.h>",

@@ -39,7 +39,7 @@ KEYS = (
 
 @dataclasses.dataclass(frozen=True)
 class ControlTask:
-    """What a file says: arguments of `mpc` by name, and of `close_loop`."""
+    """Arguments of `mpc` and of `close_loop` by name, as a file has them."""
 
     controller: Mapping[str, Any]
     loop: Mapping[str, Any]
@@ -64,7 +64,8 @@ def control_engine(command: Control, typed: str) -> int:
         if command.tune:
             tuned = tune_effort(controller, [*plants.values()], records, **task.loop)
             controller, told = tuned.value, [*told, tuned.detail]
-            runs = _close_loops(controller, plants, records, task)
+            if tuned.stats["factor"] != 1.0:
+                runs = _close_loops(controller, plants, records, task)
         run = next(iter(runs.values()))
         files, proof, fails = _write_c(controller, name)
         remarks = [text for text in (*told, run.detail, *fails) if text]

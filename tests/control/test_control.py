@@ -17,19 +17,19 @@ from scipy.optimize import minimize
 import jaxnarx as jnx
 from jaxnarx.arrays import program
 from jaxnarx.control import Command, OutputLimit, close_loop, mpc, through_casadi
-from jaxnarx.control.controller import (
+from jaxnarx.control.observer import (
+    advance_estimate,
+    correct,
+    feedback_bounds,
+    split_error,
+)
+from jaxnarx.control.planning import (
     LINEAR,
     SQUARE,
     domain_index,
     keep_bounds,
     plan_of,
     predict_outputs,
-)
-from jaxnarx.control.observer import (
-    advance_estimate,
-    correct,
-    feedback_bounds,
-    split_error,
 )
 from jaxnarx.errors import DataError, SpecError
 from jaxnarx.models import hold_to_range

@@ -20,7 +20,7 @@ from jaxnarx.control._export_controller import (
     control_program,
     export_controller,
 )
-from jaxnarx.control.controller import plan_of
+from jaxnarx.control.planning import plan_of
 from jaxnarx.exporters import ExportError, control_files, write_files
 from jaxnarx.exporters.compilers import compiler, load_library
 from jaxnarx.exporters.state_program import name_states, without_gaps

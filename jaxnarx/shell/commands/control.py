@@ -45,7 +45,7 @@ class Control:
     """Tune what moves cost so that limits are kept, and errors are small, with every
     one of --plant."""
     name: str = "model"
-    """What the files of C and their functions are called."""
+    """Name of the files of C and of their functions."""
     root: Folder = None
     """Folder of the data of a description; default as for `jaxnarx report`."""
     out: Annotated[str, arg(metavar="FOLDER")] = "control"
